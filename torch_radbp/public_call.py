@@ -25,7 +25,7 @@ Function = TypeVar("Function", bound=Callable)
 
 @contextmanager
 def without_modes() -> Iterator[None]:
-    """Switches autocast, compilation and torch's threading off, on this thread."""
+    """A context in which autocast, compilation and torch's threading are off, on this thread."""
     with without_compiler(), without_autocast("cpu"), without_autocast("cuda"), alone_in_torch():
         yield
 

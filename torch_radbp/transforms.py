@@ -44,7 +44,7 @@ def transform_points(matrix: Tensor, points: Tensor) -> Tensor:
 
 
 def matrix_inverse(matrix: Tensor) -> Tensor:
-    """The inverse of matrices (..., N, N) that are known to be invertible, attached; no device is asked whether they are."""
+    """The inverse of matrices (..., N, N) known to be invertible, attached; no check makes the host wait."""
     return torch.linalg.inv_ex(matrix).inverse
 
 
@@ -57,5 +57,5 @@ def transform_normals(matrix: Tensor, normals: Tensor) -> Tensor:
 
 
 def mirrors(matrix: Tensor) -> bool:
-    """True if an affine (4, 4) matrix is a mirroring one (negative determinant), as few are."""
+    """True if an affine (4, 4) matrix mirrors, that is, has a negative determinant."""
     return presumed(torch.linalg.det(matrix.detach()[:3, :3]) < 0, False)

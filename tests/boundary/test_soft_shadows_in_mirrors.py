@@ -9,7 +9,7 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.scenes import diffuse, load, look_at, rectangle, rgb, sensor
 from tests.scenes.shadows import FLOOR, LAMPS, PLATE, PUSH
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.hidden_light import HiddenLight
 from torch_radbp.io.values.transform import scale, translate
 

@@ -57,11 +57,18 @@ def mask(opacity=0.4, bsdf=CLAY) -> dict:
     return {"type": "mask", "opacity": opacity, "nested_bsdf": bsdf}
 
 
+def turned(bsdf: dict) -> dict:
+    """With a normal that leans to one side."""
+    return {"type": "normalmap", "normalmap": [0.6, 0.45, 0.9], "nested_bsdf": bsdf}
+
+
 PANES = {"thin": thin(), "mask": mask(), "bitmap": mask({"type": "bitmap", "bitmap": SMOOTH, "raw": True}),
-         "mask of thin": mask(0.5, thin()), "blend": {"type": "blendbsdf", "weight": 0.4, "clay": CLAY, "hole": NULL}}
+         "mask of thin": mask(0.5, thin()), "blend": {"type": "blendbsdf", "weight": 0.4, "clay": CLAY, "hole": NULL},
+         "turned mask": turned(mask())}
 PARAMETERS = {"thin": ["eta", "specular_transmittance.value", "specular_reflectance.value"],
               "mask": ["opacity.value", "nested_bsdf.reflectance.value"], "bitmap": ["opacity.data"],
-              "mask of thin": ["opacity.value", "nested_bsdf.eta"], "blend": ["weight.value"]}
+              "mask of thin": ["opacity.value", "nested_bsdf.eta"], "blend": ["weight.value"],
+              "turned mask": ["nested_bsdf.opacity.value", "normalmap.value"]}
 
 
 def before_a_lamp(bsdf: dict, core: dict = NULL, **more) -> rb.Scene:
@@ -132,6 +139,32 @@ def test_connections_to_lights_pass_panes():
     torch.testing.assert_close(images[1] / images[0], passing(1.0) * COLOUR, rtol=1e-4, atol=0)
 
 
+def below_a_bulb(bsdf: dict, camera: dict) -> rb.Scene:
+    """A floor below a pane and a bulb, in a medium that only absorbs."""
+    return load(torch.float64, air=haze((0.2, 0.4, 0.8), (0, 0, 0)), camera=camera | {"medium": AIR},
+                bulb={"type": "point", "position": [0.0, 0.0, 2.0], "intensity": 3.0},
+                floor=rectangle((0, 0, 0), 1.5, bsdf=diffuse(0.5, 0.5, 0.5)), pane=rectangle((0, 0, 1.0), 3.0, bsdf=bsdf))
+
+
+def test_connections_pass_panes_with_turned_normals():
+    """By the shares of their holes; the shadowing factor is 1 for light that comes from straight above."""
+    holed, plain, tinted, full = (rb.render(below_a_bulb(bsdf, overhead(1, 0.5, 0.01)), spp=4, max_depth=2, seed=2)
+                                  for bsdf in (turned(mask(0.4, BLACK)), NULL, turned(thin((1, 1, 1))), mask(0.0, BLACK)))
+    assert plain.min() > 0
+    torch.testing.assert_close(holed, 0.6 * plain, rtol=1e-5, atol=0)
+    lean = 0.8 / (0.2**2 + 0.1**2 + 0.8**2)**0.5  # the cosine of light to the normal
+    torch.testing.assert_close(tinted, passing(lean) * full, rtol=1e-4, atol=0)
+
+
+def test_paths_from_lamps_and_connections_pass_panes_with_turned_normals_alike():
+    scene = below_a_bulb(turned(mask(0.4, BLACK)), overhead(2, 0.5, 1.0))
+    means = torch.stack([torch.stack([
+        rb.render(scene, spp=4096, max_depth=2, light_paths=light_paths, seed=seed).mean((0, 2, 3)) for seed in range(12)])
+        for light_paths in ("camera", "all")])
+    difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
+    assert (means > 0).all() and (difference.abs() < 4 * error).all() and (error < 0.03 * means[0].mean(0)).all()
+
+
 def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral():
     """Over the lamp; connections and chance together. Mitsuba's `volpathmis` is too bright here, its `volpath` right."""
     nothing = haze((0, 0, 0), (0, 0, 0))
@@ -147,7 +180,7 @@ def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral(
     assert ((images.mean(0) - shone).abs() < 4 * error).all() and (error < 0.003 * shone).all()
 
 
-@pytest.mark.parametrize("name", deep_but(["mask"], ["thin", "mask", "mask of thin", "blend"]))
+@pytest.mark.parametrize("name", deep_but(["mask"], ["thin", "mask", "mask of thin", "blend", "turned mask"]))
 def test_lamps_behind_panes_by_chance_and_by_connection_agree(name):
     assert_chance_and_connection_agree(room(PANES[name]))
 

@@ -196,6 +196,21 @@ def test_noise_of_the_jacobian_asks_for_its_samples():
     assert abs(x.item() - 1) < 1e-3
 
 
+def test_noise_of_the_jacobian_shortens_no_step():
+    """10,000 pixels whose slopes are 1 +- 0.8: J^T J is 1.64 times the curvature, and the step ends where the error does."""
+    x = torch.tensor([1.0], dtype=torch.float64, requires_grad=True)
+
+    def residuals(seed, spp):
+        noise = torch.randn(10000, generator=torch.Generator().manual_seed(seed), dtype=x.dtype)
+        return (1 + 0.8 * noise) * x - 2
+
+    optimizer = GaussNewton([x], damping=0)
+    optimizer.step(residuals)
+    assert optimizer.search["noise_of_j"] == pytest.approx(0.64 / 1.64, abs=0.02)
+    assert abs(x.item() - 2) < 0.05  # 1.61 by J^T J alone
+    assert optimizer.search["gain"] == pytest.approx(1, abs=0.05)
+
+
 def test_noise_that_pixels_have_by_themselves_asks_for_samples():
     """Residuals of normal noise only: every step is noise, and samples are two or four times as many after it."""
     x = torch.zeros(3, dtype=torch.float64, requires_grad=True)

@@ -65,7 +65,7 @@ def trace_on_cuda(stage, arguments: tuple) -> set[torch.device]:
 
 
 OF_MANY_LAMPS, OF_TWO_SIDES = {"pick_light", "emitter_met", "chance_of_light"}, {"side_met"}
-OF_JUMPS = {"slopes", "swept", "asked_of_places", "scaled_slopes"}
+OF_JUMPS = {"slopes", "swept", "adjoint_of_motion", "scaled_slopes"}
 OF_SEGMENTS = {"segment_weight", "segment_place"}
 OF_CROSSINGS = {"segment_bounds", "segment_found", "segment_passed", "sheets_seen"}
 OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_light", "scattered", "border_course",
@@ -81,8 +81,9 @@ OF_WAYS = {"emission_begun", "emission_on_segment", "hides_all", "is_tracked_in"
            "next_shadow_segment", "no_crossing", "on_boundary", "shadow_ahead", "shadow_begun", "surface_ahead",
            "tracking_begun", "tracking_on", "way_begun"}  # through media
 OF_MEDIA = {"direct_light_in_medium", "free_flight", "leaving_towards", "scattered_by_medium", *OF_WAYS}  # that scatter
-OF_LAMPS = {"brings", "is_asked", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
-WITHOUT_ASKED = {"fog": {"is_asked"}, "smoke": {"is_asked", "is_connected"}, "networks": {"is_asked"}}  # of all vertices
+OF_LAMPS = {"brings", "affects_loss", "is_connected", "patches", "sample_lamps", "shining"}  # which begin at no network
+WITHOUT_ASKED = {"fog": {"affects_loss"}, "smoke": {"affects_loss", "is_connected"},
+                 "networks": {"affects_loss"}}  # of all vertices
 # Stages that a scene does without.
 NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},

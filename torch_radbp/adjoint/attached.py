@@ -27,19 +27,19 @@ from torch_radbp.threads.team import loops_together
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None = None) -> Vec3:
-    """`trace` with all derivatives, in reverse mode (recorded) or in forward mode (of dual tensors)."""
+    """The radiance L_1 of `trace` with all derivatives: recorded by autograd, or in forward mode as dual tensors."""
     return trace(integrand, state, visit, bounce=bounce_attached(integrand))
 
 
 def bounce_attached(integrand: Integrand) -> Bounce:
-    """What takes a bounce with all derivatives."""
+    """The function that takes one bounce with all derivatives."""
     return bounced_twice if integrand.settings.moving else bounced
 
 
 def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """`bounced` with differentiated rays: first detached, to find the next hits, then attached to these.
+    """Takes a bounce with differentiated rays: first detached, to find the next hits, then attached to these.
 
-    Args as there, but that `L` is always wanted.
+    Args and results as of `bounced`, but that `L` is never None.
     """
     fixed, stages, state = integrand.still(), integrand.stages, onward.packed(integrand)
     vertex, _, step = take_step(fixed, detached(state), depth, hit=onward.hit, flight=onward.flight, with_light=False)
@@ -61,7 +61,7 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
 
 
 def attached_light(integrand: Integrand, state: PathState, depth: int, step: Step) -> Vec3 | None:
-    """The emission seen by paths that end at a bounce, with all derivatives; None: none ends."""
+    """The emission seen by paths that end at a bounce, with all derivatives; None: no path ends."""
     *_, queue = step.queues
     if queue.event.scatters:
         return None
@@ -70,12 +70,12 @@ def attached_light(integrand: Integrand, state: PathState, depth: int, step: Ste
 
 def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: Step,
                       following: Hit | None) -> tuple[Vec3 | None, PathState | None, Vec2 | None]:
-    """E_k of vertices that scatter, the path states that leave them, and where the camera sees these, as of
-    `attached_vertex`, with all derivatives; None: nothing scatters.
+    """E_k of the vertices that scatter, the path states that leave them, and their film positions, as of `attached_vertex`,
+    with all derivatives; None: no path scatters.
 
     Args:
-        step: what was decided.
-        following: what the next rays meet; None: nothing is scattered.
+        step: the decisions of the bounce.
+        following: what the next rays hit; None at the last bounce.
     """
     queues = [queue for queue in step.queues if queue.event.scatters]
     if not queues:
@@ -94,7 +94,7 @@ def attached_vertices(integrand: Integrand, state: PathState, depth: int, step: 
 
 
 def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step, queue: Queue) -> tuple:
-    """The arguments of a bounce's functions for one queue, with all derivatives."""
+    """The arguments of the stages of a bounce for the lanes of one queue, attached."""
     part, lanes = integrand.part(queue.event), step.order[queue.first:queue.last]
     arrival, at, settings, values = step.arrival(state), integrand.at(depth), integrand.settings_at(depth), ()
     if integrand.proposal.layout.reads_outside:
@@ -104,7 +104,7 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
 
 
 def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState, Vec2 | None]:
-    """Empty results of `attached_vertices` in forward mode, to write into."""
+    """Uninitialised results of `attached_vertices` in forward mode, to be written into."""
     from_lamps = integrand.proposal.layout.from_lamps
     values, tangents = (room_for_vertices(state, lanes, True, False, from_lamps) for _ in range(2))
     film = dual(values.film, tangents.film) if from_lamps else None
@@ -120,8 +120,8 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
 
     Args:
         integrand: attached.
-        start: (N,) of the paths, attached.
-        depth: (N,) int64, less than the vertices of each.
+        start: (N,) the states at the start of the paths, attached.
+        depth: (N,) int64, less than the number of vertices of each path.
     """
     rays, lanes = [], []
 

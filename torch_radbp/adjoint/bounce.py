@@ -32,7 +32,7 @@ from torch_radbp.vertex.interaction import corner_rows
 
 
 class Memo(NamedTuple):
-    """The memo of the recursion: results of the bounce below, (N,) each; zeros where there was none."""
+    """What a bounce gets of the one after it in the backward sweep: L_{k+1} and derivatives, (N,); 0 where there is none."""
 
     L: Vec3  # L_{k+1}
     adj_ray: Ray | None = None  # dloss/dray_{k+1}; None if rays do not carry derivatives
@@ -45,18 +45,18 @@ class Memo(NamedTuple):
     asked: Tensor | None = None
 
     def parts_of(self, other: Memo) -> Memo:
-        """The parts that another one has."""
+        """A memo with only those fields that are not None in another."""
         return Memo(*(None if found is None else part for part, found in zip(self, other)))
 
 
 def empty_memo(like: Tensor, moving: bool, twice: bool, scene: SceneTensors) -> Memo:
-    """The memo before the deepest bounce of each lane.
+    """The initial memo of the backward sweep, before the deepest bounce of each lane.
 
     Args:
-        like: (N,) tells device and dtype.
+        like: (N,) gives device and dtype.
         moving: whether rays carry derivatives.
-        twice: whether triangles do, for two bounces each.
-        scene: tells whether rays have cones around them, and hits instances.
+        twice: whether triangles do, to each of which two bounces contribute.
+        scene: tells whether there are ray cones and instances.
     """
     asked = torch.zeros_like(like, dtype=torch.bool) if lanes_may_be_left_out(scene.layout) else None
     if not moving:
@@ -82,20 +82,20 @@ def lanes_may_be_left_out(layout: Layout) -> bool:
 
 
 @stage("below", "lane")
-def is_asked(below: Tensor, lane: Tensor, lanes: Tensor, visible: Tensor) -> Tensor:
-    """(M,) bool: the loss depends on paths from a bounce on.
+def affects_loss(below: Tensor, lane: Tensor, lanes: Tensor, visible: Tensor) -> Tensor:
+    """(M,) bool: the loss depends on what paths contribute at this bounce or deeper ones.
 
     Args:
-        below: `Memo.asked`.
-        lane: (N,) int32, of the paths that reach the bounce.
-        lanes: (M,) int32, those of them that are meant.
-        visible: (M,) bool, their connections are free.
+        below: (N,) bool, the same for the bounce below: `Memo.asked`.
+        lane: (N,) int32, indices in the chunk of the paths that reach the bounce.
+        lanes: (M,) int32, the paths among these to test.
+        visible: (M,) bool, their connections are unoccluded.
     """
     return visible | rows(below, rows(lane, lanes))
 
 
 class DifferentiatedPart(NamedTuple):
-    """The part of a scene that lanes of one event read, and what of it is differentiated."""
+    """The part of a scene that lanes of one event read, and which of its tensors are differentiated."""
 
     scene: SceneTensors  # detached
     wanted: tuple[bool, ...]  # of each leaf of `scene`, counted as `leaves_of` does, whether to differentiate it
@@ -105,7 +105,7 @@ class DifferentiatedPart(NamedTuple):
 
 
 class LanesOfChunk(NamedTuple):
-    """What the sweep has for all lanes of the chunk."""
+    """The adjoints, memo and random keys of all lanes of a chunk in the backward sweep."""
 
     adj_L: Vec3  # derivative of the loss with respect to L_1
     memo: Memo
@@ -116,17 +116,17 @@ class LanesOfChunk(NamedTuple):
 def bounce_adjoint(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, verdict: Verdict | None, chunk: LanesOfChunk,
                    at: Position, settings: Settings, texture_values: tuple[TextureValue, ...]
                    ) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-    """The local vector-Jacobian product of one bounce: from dloss/dL_k to gradients of tables, and to the ray before.
+    """The local vector-Jacobian product of one bounce: from dloss/dL_k to gradients of scene tables and dloss/dray_k.
 
     Args:
-        part: of the scene.
+        part: the part of the scene that the lanes read.
         arrival, lanes: as for `bounce`.
-        verdict: what was decided for these lanes; None where nothing is scattered.
-        chunk: of the sweep.
+        verdict: the decisions of the forward pass for these lanes; None where nothing is scattered.
+        chunk: adjoints and memo of all lanes.
         at, settings, texture_values: as in the forward pass.
 
     Returns:
-        The memo for the bounce above, of these lanes, for each wanted leaf what its reads add to its gradient, and the
+        The memo of these lanes for the bounce above; for each wanted leaf of the scene the adjoints of its reads; and the
         adjoints of `texture_values`.
     """
     arrival = rows(arrival, lanes)
@@ -185,6 +185,6 @@ def as_leaf(tensor: Tensor) -> Tensor:
 
 
 def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corners: Corners) -> Corners:
-    """Gathers the vertices `corners` from recorded positions, with a part of their adjoints from the bounce below."""
+    """The vertices `corners` of triangles from recorded positions, with what the bounce below adds to their adjoints."""
     return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
                  for row, adj_p in zip(corners, adj_corners))

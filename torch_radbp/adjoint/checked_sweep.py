@@ -15,14 +15,14 @@ from torch_radbp.tensors.stage import PlainStages
 
 
 class CheckedSweep(Sweep):
-    """A sweep that records the first bounce, from the deepest up, whose derivatives are not finite. Eager."""
+    """An eager backward sweep that records the first bounce, from the deepest up, with derivatives that are not finite."""
 
     def __init__(self, finding: FirstNonFinite, *arguments):
         super().__init__(*arguments)
         self.finding = finding
 
     def adjoint(self, state: PathState, depth: int) -> None:
-        """Differentiates one bounce, as `Sweep` does, and checks the result."""
+        """Differentiates one bounce and checks that its results are finite."""
 
         def checked(part: DifferentiatedPart, arrival: Arrival, lanes: Tensor, *arguments):
             above, tables, adj_values = bounce_adjoint(part, arrival, lanes, *arguments)

@@ -32,7 +32,7 @@ def has_tangents(record) -> bool:
 
 
 def render_tangents(call: RenderCall) -> Tensor:
-    """Renders a scene with dual leaves: dual images, (B, 3, H, W), in several threads.
+    """Renders images, (B, 3, H, W), with their forward-mode tangents, of a scene whose leaves are dual tensors.
 
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.

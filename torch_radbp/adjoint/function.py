@@ -62,7 +62,7 @@ def first_derivatives_only(backward: Callable) -> Callable:
 
 
 class RenderFunction(torch.autograd.Function):
-    """What a sink has of paths from a source, with memoized adjoint radiance as its derivative: images of cameras."""
+    """The rendering of a call as an `autograd.Function`, with memoized adjoint radiance as its derivative."""
 
     @staticmethod
     def forward(ctx, call: RenderCall, *leaves: Tensor) -> Tensor:
@@ -109,7 +109,7 @@ class RenderFunction(torch.autograd.Function):
             [wanted[place] for place in scene_leaves_met(call.scene)]))
 
         def seen_by(wavefront: Wavefront, integrand: Integrand) -> Integrand:
-            seen = call.sink.asked(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
+            seen = call.sink.backward_integrand(integrand_of_wavefront(call, integrand, wavefront, 1), adj_sums)
             # Of camera paths another function for the first bounce would take longer to compile than it saves.
             fixed = call.sink.at_vertices and seen.settings.moving and not start_counts
             return seen._replace(settings=seen.settings._replace(fixed_start=fixed))
@@ -174,7 +174,7 @@ class RenderFunction(torch.autograd.Function):
 
 
 def without_tensor(tensors: list[Tensor], leaf):
-    """Replaces a tensor in a record by a placeholder, and appends it to `tensors`, which autograd saves."""
+    """Replaces a tensor of a record by a placeholder, and appends it to `tensors`, which autograd saves."""
     if not isinstance(leaf, Tensor):
         return leaf
     tensors.append(leaf)
@@ -212,12 +212,12 @@ def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
 
 
 def per_power(L: Vec3, beta: Vec3) -> Vec3:
-    """L_1 of paths that begin with a throughput, from the sum that has it; where that is 0, so is what is asked for."""
+    """The radiance L_1 of paths that begin with throughput `beta`, from their light L = beta L_1; 0 where `beta` is 0."""
     return Vec3(*(part / torch.where(begun != 0, begun, 1.0) for part, begun in zip(L, beta)))
 
 
 class StartAdjoint(NamedTuple):
-    """The derivatives of the loss by how the paths of a wavefront begin, (N,), and what their rays meet."""
+    """The derivatives of the loss by the first rays, cones and throughputs of N paths, and what these rays hit."""
 
     ray: Ray | None
     cone: Cone | None
@@ -226,18 +226,18 @@ class StartAdjoint(NamedTuple):
 
 
 def adj_of_start(sweep: Sweep) -> StartAdjoint:
-    """What a sweep has found of the beginning of its paths: the loss is adj_1 beta_1 L_1."""
+    """The derivatives of the loss by the first ray, cone and throughput of each path, after a sweep of all bounces."""
     memo, kept = sweep.memo, sweep.record.radiance
     return StartAdjoint(memo.adj_ray, memo.adj_cone, sweep.adj_L * (memo.L if kept is None else kept), memo.hit)
 
 
 def source_adjoint(call: RenderCall, integrand: Integrand, chunk: LaneBlock, wanted: Sequence[bool],
                    adj_start: StartAdjoint) -> Iterator[tuple[int, Tensor]]:
-    """What rays, cones and power of one chunk add to the gradients of the wanted leaves of scene and source.
+    """Yields gradients of scene and source tensors by way of the rays, cones and power with which paths begin.
 
     Yields:
-        The number of each among the wanted ones, and what is added; where each ray reads entries of its own, they are summed
-        in float64.
+        The index of each tensor among the wanted ones, and its gradient, which is summed in float64 where each ray reads
+        entries of its own.
     """
     tensors, scene, glued = call.source.tensors, call.scene, call.sink.at_vertices and integrand.settings.moving
     shift, of_scene = len(leaves_of(scene)), scene_leaves_met(scene) if glued else ()
@@ -263,11 +263,11 @@ def source_adjoint(call: RenderCall, integrand: Integrand, chunk: LaneBlock, wan
 
 
 def scene_leaves_met(scene: SceneTensors) -> list[int]:
-    """The numbers of the leaves of a scene on which the points depend that rays meet."""
+    """The indices of the scene's tensors on which hit points depend: vertex positions and instances."""
     marked = with_leaves(scene.triangles, list(range(len(leaves_of(scene.triangles)))))
     return [number for number in leaves_of((marked.vertices.p, marked.instances)) if number is not None]
 
 
 def render_with_derivative(call: RenderCall) -> Tensor:
-    """What the sink has of the call, attached to the leaves of scene and source through `RenderFunction`: images."""
+    """The result of a rendering, such as images, attached to the tensors of scene and source through `RenderFunction`."""
     return RenderFunction.apply(call, *differentiable(call.scene), *differentiable(call.source.tensors))

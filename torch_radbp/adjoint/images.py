@@ -18,7 +18,7 @@ from torch_radbp.path.wavefront import bounced
 
 def render_images(call: RenderCall, integrand: Integrand, record: bool,
                   bounce: Bounce = bounced) -> SinkValues:
-    """What the sink has of radiance and of the quantities of the call, and records of wavefronts, if wanted and kept."""
+    """Renders a call wavefront by wavefront: the values of its sink, and the records for the backward pass, if `record`."""
     allowance = Allowance(call.record_bytes if record else 0)
 
     def trace_one(wavefront: Wavefront) -> tuple[list[Tensor], PathRecord | None]:
@@ -34,7 +34,7 @@ def render_images(call: RenderCall, integrand: Integrand, record: bool,
 
 
 def _check_images(call: RenderCall, integrand: Integrand, images: Tensor) -> None:
-    """Raises NonFiniteError if a pixel is NaN or infinite."""
+    """Raises NonFiniteError if a pixel of the images is NaN or infinite."""
     if all_finite([images], integrand.repetitions):
         return
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, bounce_adjoint, is_asked
+from torch_radbp.adjoint.bounce import DifferentiatedPart, LanesOfChunk, Memo, affects_loss, bounce_adjoint
 from torch_radbp.adjoint.kept_state import part_kept
 from torch_radbp.adjoint.local_map import verdict_of
 from torch_radbp.adjoint.outside import values_that_move
@@ -34,7 +34,7 @@ from torch_radbp.vertex.interaction import corner_rows
 
 
 class Differentiated(NamedTuple):
-    """What the lanes of one event are differentiated with."""
+    """What is needed to differentiate the lanes of one event."""
 
     part: DifferentiatedPart
     leaves: list[int]  # the numbers of the leaves that are differentiated
@@ -42,7 +42,7 @@ class Differentiated(NamedTuple):
 
 
 class LocalAdjoint(NamedTuple):
-    """The local map (theta, ray_k) -> (E_k, F_k, ray_{k+1}) of the M lanes of one queue."""
+    """The local map (theta, ray_k) -> (E_k, F_k, ray_{k+1}) of the M lanes of one queue, ready to be differentiated."""
 
     of_event: Differentiated
     arguments: tuple  # of `bounce_adjoint`, behind those of the event
@@ -54,11 +54,11 @@ class LocalAdjoint(NamedTuple):
     seen_first: tuple[Sequence[int], Integrand] | None
 
     def vector_jacobian_product(self) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-        """See `bounce_adjoint`."""
+        """The memo for the bounce above, and the adjoints of table reads and texture values; see `bounce_adjoint`."""
         return self.of_event.stage(self.of_event.part, *self.arguments)
 
     def contributions(self, above: Memo, adj_reads: list[list[TableAdjoint]]) -> list[Contribution]:
-        """What the reads of tables add to the gradients of leaves; args as `vector_jacobian_product` returns them."""
+        """The adjoints of table reads as contributions to gradients; args as `vector_jacobian_product` returns them."""
         parts = [Contribution(leaf, *read) for leaf, reads in zip(self.of_event.leaves, adj_reads) for read in reads]
         if self.seen_first is not None and above.adj_corners is not None:
             leaves, integrand = self.seen_first
@@ -69,11 +69,11 @@ class LocalAdjoint(NamedTuple):
 
 
 class LocalAdjoints:
-    """Makes the local maps of bounces.
+    """Makes the local maps of bounces, which the backward sweep differentiates.
 
     Args:
-        integrand: of the detached scene.
-        numbered: the scene with the numbers of the leaves to differentiate, see `sweep.numbered_leaves`.
+        integrand: with a detached scene.
+        numbered: a record of the scene's structure with the gradient index of each leaf, see `sweep.numbered_leaves`.
     """
 
     def __init__(self, integrand: Integrand, numbered: SceneTensors):
@@ -85,7 +85,7 @@ class LocalAdjoints:
         self.of_positions = list(positions) if twice else []  # leaves
 
     def of_event(self, event: Event) -> Differentiated:
-        """What lanes are differentiated with to which this happens; made once."""
+        """What is needed to differentiate lanes with an event; cached."""
         if event not in self.of_events:
             layout = self.integrand.scene.layout
             leaves = leaves_of_part(self.numbered, layout, self.integrand.scatterer(event))
@@ -96,12 +96,12 @@ class LocalAdjoints:
         return self.of_events[event]
 
     def maps(self, state: PathState, step: Step, chunk: LanesOfChunk, depth: int) -> Iterator[LocalAdjoint]:
-        """The local maps of a bounce, of each queue that is differentiated.
+        """Yields the local maps of a bounce, one for each queue that is differentiated.
 
         Args:
             state: of the paths that reach the bounce.
-            step: what was decided there.
-            chunk: of the sweep.
+            step: the decisions there.
+            chunk: adjoints and memo of all lanes.
             depth: of the bounce.
         """
         state, step = cut_to_count(state, step)
@@ -119,7 +119,7 @@ class LocalAdjoints:
             lanes = step.order[here]
             verdict = rows_between(verdict_of(step), queue.first, queue.last) if queue.event.scatters else None
             if chunk.memo.asked is not None and verdict is not None:
-                kept = chosen(integrand.stages(is_asked)(chunk.memo.asked, state.lane, lanes, verdict.visible))
+                kept = chosen(integrand.stages(affects_loss)(chunk.memo.asked, state.lane, lanes, verdict.visible))
                 lanes, verdict = integrand.stages(rows)((lanes, verdict), kept)
             yield LocalAdjoint(self.of_event(queue.event), (reached, lanes, verdict, of_chunk, at, settings, values),
                                scatterer, places, integrand.stages(rows)(state.lane, lanes), queue,
@@ -127,11 +127,11 @@ class LocalAdjoints:
 
     def texture_values(self, queues: Sequence[tuple[Queue, tuple[TextureValue, ...] | None]],
                        asking: Sequence[Asking]) -> Sequence[tuple[TextureValue, ...]]:
-        """The values of the textures that lanes read outside, with derivatives by the places where rays carry some.
+        """The values of network textures at a bounce, with derivatives by their inputs where rays carry derivatives.
 
         Args:
-            queues: of the bounce, with the values that the forward pass has kept; None: it has not.
-            asking: of each queue.
+            queues: of the bounce, each with the values kept from the forward pass, or None.
+            asking: for each queue its appearance and points.
         """
         scene = self.integrand.scene
         if self.integrand.settings.moving:

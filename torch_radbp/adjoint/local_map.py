@@ -23,7 +23,7 @@ MISS = Hit(-1, 0.0, 0.0, 0.0, 0)
 
 
 class LocalMap(NamedTuple):
-    """The terms of L_k = E_k + F_k L_{k+1}, as functions of the parameters of a bounce."""
+    """The terms of L_k = E_k + F_k L_{k+1} and the next ray, as functions of scene parameters and the ray; (N,)."""
 
     E: Vec3
     F: Vec3
@@ -33,7 +33,7 @@ class LocalMap(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The decisions at a bounce that derivatives keep."""
+    """The decisions of a bounce that stay fixed when it is differentiated."""
 
     visible: Tensor  # (N,) bool: the shadow ray was free
     survives: Tensor  # (N,) bool: the path goes on
@@ -42,12 +42,12 @@ class Verdict(NamedTuple):
 
 
 def verdict_of(step: Step) -> Verdict:
-    """The decisions at all vertices of a bounce that scatter."""
+    """The decisions of a step at the vertices that scatter."""
     return Verdict(step.visible, step.survives, step.shadow_way)
 
 
 class BothCorners(NamedTuple):
-    """Positions of triangles' vertices where two bounces differentiate them."""
+    """The vertex positions of the triangles to which two bounces contribute derivatives."""
 
     here: Corners  # of the triangle that the ray meets
     there: Corners | None  # of that which the next ray meets; None: as the scene has them
@@ -55,12 +55,12 @@ class BothCorners(NamedTuple):
 
 def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, verdict: Verdict | None, at: Position,
               settings: Settings, texture_values: tuple[TextureValue, ...], corners: BothCorners | None = None) -> LocalMap:
-    """The local map of a bounce: parameters, and the ray if differentiated, to E_k, F_k and the next ray.
+    """The local map of a bounce: from scene parameters, and the ray if differentiated, to E_k, F_k and the next ray.
 
     Args:
         scene, proposal, at, settings, texture_values: as for `bounce`.
-        arrival: the lanes, as they are.
-        verdict: what was decided; None where nothing is scattered.
+        arrival: the paths, all of which are computed.
+        verdict: the decisions of the bounce; None where nothing is scattered.
         corners: of the triangles; None: as the scene has them.
     """
     kind, state = scene.layout.vertex, arrival.state
@@ -87,13 +87,13 @@ def local_map(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, ver
 def attached_vertex(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, verdict: Verdict,
                     at: Position, settings: Settings,
                     texture_values: tuple[TextureValue, ...]) -> tuple[Vec3, PathState, Vec2 | None]:
-    """E_k, the path states that leave vertices, and where the camera sees these if it is what they connect to, with all
+    """E_k, the path states that leave vertices, and along paths from lamps the film positions of vertices, with all
     derivatives; without `vantage`, which has none.
 
     Args:
         arrival: the paths that reach this bounce.
-        lanes: (M,) int32, those of them that are computed, in this order.
-        verdict: (M,) what was decided; `following` is of no meaning where paths end. The rest is as for `local_map`.
+        lanes: (M,) int32, the paths among these that are computed.
+        verdict: (M,) the decisions; `following` is undefined where paths end. The rest is as for `local_map`.
     """
     def where_it_goes_on(hit: Tensor | None, otherwise: float) -> Tensor | None:
         return None if hit is None else torch.where(verdict.survives, hit, otherwise)

@@ -62,7 +62,7 @@ class MemoizedAdjoint(AdjointStrategy):
         return kept_depths(bounces, self.stride, most)
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """The greatest number of states that the schedule holds at once."""
+        """The greatest number of path states that the schedule holds at once."""
         held = most = 0.0
         for action in backward_plan(len(reaching), kept, self.stride):
             if action.depth not in kept:

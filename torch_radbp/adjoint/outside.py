@@ -21,7 +21,7 @@ HELD = 1 << 17  # lanes that have reached a bounce, whose adjoints are held back
 
 
 class ModuleAdjoint(NamedTuple):
-    """The adjoints of values that modules (neural networks) have computed at points."""
+    """The adjoints of texture values that modules (neural networks) have computed at N points."""
 
     bank: int  # see `banks_asked`
     row: Tensor  # (N,) int32, index of the module in the bank; -1: none
@@ -31,8 +31,8 @@ class ModuleAdjoint(NamedTuple):
     first: int | LaneCount | None = None
     last: int | LaneCount | None = None
 
-    def asked(self) -> ModuleAdjoint:
-        """The same with row -1 where there is nothing."""
+    def without_unused_rows(self) -> ModuleAdjoint:
+        """These adjoints with module index -1 in lanes beyond those that count."""
         if not isinstance(self.last, LaneCount):
             return self
         place = torch.arange(len(self.row), device=self.row.device)
@@ -41,14 +41,14 @@ class ModuleAdjoint(NamedTuple):
 
 
 class ModuleGradients:
-    """Accumulates the gradients of modules' parameters from adjoints of their values.
+    """Accumulates the gradients of the parameters of network textures from the adjoints of their values.
 
     The values are computed once more: between the passes nothing is kept of modules but values. Adjoints of several bounces
     are held back until modules run on all of them at once, in fewer batches.
 
     Args:
         scene: detached.
-        numbered: with the numbers of the wanted leaves, as `Gradients` counts them, and None for the rest.
+        numbered: a record of the scene's structure with the gradient index of each leaf; None: not differentiated.
         gradients: added to.
     """
 
@@ -67,11 +67,11 @@ class ModuleGradients:
 
     def adjoints(self, scatterer: Appearance | None, places: tuple[Place, ...],
                  adj_values: tuple[Vec3, ...]) -> tuple[ModuleAdjoint, ...]:
-        """The adjoints of modules with differentiated parameters.
+        """The adjoints of network texture values whose modules have differentiated parameters.
 
         Args:
             scatterer, places: as for `texture_values_at`.
-            adj_values: of the values.
+            adj_values: the adjoints of all values.
         """
         asked = zip(banks_asked(self.scene.layout, scatterer), places, adj_values)
         return tuple(ModuleAdjoint(bank, place.row, place.at, adjoint) for bank, place, adjoint in asked
@@ -80,11 +80,11 @@ class ModuleGradients:
     def hold(self, adjoints: Sequence[ModuleAdjoint], lanes: int) -> None:
         """Queues the adjoints of a bounce with `lanes` lanes, until modules run on many at once."""
         if adjoints:
-            self.held += [adjoint.asked() for adjoint in adjoints]
+            self.held += [adjoint.without_unused_rows() for adjoint in adjoints]
             self.lanes += lanes
 
     def add_held(self) -> None:
-        """Runs the modules on all queued adjoints, and adds the gradients."""
+        """Runs the modules backward on all queued adjoints, and adds the gradients of their parameters."""
         held, self.held, self.lanes = self.held, [], 0
         for bank in dict.fromkeys(part.bank for part in held):
             parts = [(part.row, *part.adjoint, *part.at) for part in held if part.bank == bank]
@@ -95,23 +95,23 @@ class ModuleGradients:
 
 
 def values_that_move(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """Evaluates network textures for the queues of a bounce, with derivatives by their inputs.
+    """The values of network textures for the queues of a bounce, with their derivatives by texture coordinates.
 
     Args:
         scene: detached.
-        asking: of each queue.
+        asking: for each queue its appearance and points.
     """
     found = asked_outside(moving_values_of, scene, asking, lambda place: 3 * (1 + len(place.at)))
     return [tuple(TextureValue(values, tuple(slopes)) for values, *slopes in map(triples, own)) for own in found]
 
 
 def moving_values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
-    """Evaluates modules and their derivatives, channel by channel; args as for `values_of`."""
+    """Modules' values and derivatives by their inputs, channel by channel; args as for `texture_networks.values_of`."""
     return of_banks(banks, scene, given, channels_that_move)
 
 
 def channels_that_move(bank: ModuleBank, row: Tensor, at: Vec2 | Vec3, lanes: Sorted) -> list[Tensor]:
-    """The values of a network's texture and their derivatives by its arguments, channel by channel, in one list."""
+    """The values of a network texture and their derivatives by its inputs, as one list of channels."""
     return [channel for values in bank.values_and_slopes(row, at, lanes) for channel in values]
 
 

@@ -18,9 +18,9 @@ from torch_radbp.tensors.vec import Vec3, rows
 
 @dataclass(frozen=True)
 class QuadraticAdjoint(AdjointStrategy):
-    """Keeps no radiance and computes L_{k+1} anew for each bounce: N^2 / 2 forward steps. To compare with.
+    """Traces L_{k+1} anew for each bounce, N^2 / 2 forward steps, instead of keeping it; for comparison.
 
-    The states of a path are on the stack of the recursion while it is differentiated, chunk by chunk.
+    While a chunk is differentiated, its path states lie on the stack of the recursion.
 
     Args:
         keep_hits: as in `MemoizedAdjoint`.
@@ -38,7 +38,7 @@ class QuadraticAdjoint(AdjointStrategy):
         return ()
 
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """The number of states on the recursion's stack, plus two bounces below."""
+        """The number of path states on the recursion's stack, plus the two of the bounces that are traced anew."""
         return sum(reaching) + 2 * max(reaching)  # the stack, and a bounce and the next below it
 
     def backward(self, sweep: Sweep) -> None:

@@ -42,10 +42,10 @@ MANY = 2 * TILE  # lanes of an image from which on those of its derivative are t
 
 def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int, record: bool,
                     bounce: Bounce = bounced) -> tuple[list[Tensor], PathRecord]:
-    """What the lanes bring to the sink, as of `Sink.deposit`, and what the backward pass will need of them.
+    """Traces a wavefront: its contributions to the sink, as of `Sink.deposit`, and the record for its backward pass.
 
     Args:
-        which: samples of the image, 0, or of its derivative, 1.
+        which: 0 for the samples of the image, 1 for those of its derivative.
         record: whether anything is kept for the backward pass.
         bounce: takes one bounce.
     """
@@ -69,7 +69,7 @@ def trace_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront
 
 
 def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> tuple[list[Tensor], PathRecord]:
-    """Traces the samples of the image and, together with them, those of its derivative."""
+    """Traces the samples of the image and, together with them, those of its derivative; results as of `trace_wavefront`."""
     recorder = Recorder(call.adjoint, integrand.bounces)
     integrand = integrand_of_wavefront(call, integrand, wavefront)
     # Through media that scatter the paths of image and derivative are sampled otherwise.
@@ -83,8 +83,8 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                  recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, with hits only if
-    quantities are asked for."""
+    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, but hits only if
+    AOVs need them."""
     seen_first = Recorder(call.adjoint, integrand.bounces, keeping=False)
 
     def image() -> tuple[CameraSample, Vec3]:
@@ -103,7 +103,7 @@ def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                   recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """Traces both kinds of samples as one wavefront: camera rays of both, hits and radiance of the image's."""
+    """Traces the samples of image and derivative as one wavefront: rays of both, and the image's hits and radiance."""
     image, derivative = (samples_of_chunks(call, wavefront, which) for which in (0, 1))
     lanes = wavefront.lanes
     both = joined([samples._replace(weight=None, place=None) for samples in (*derivative, *image)])
@@ -117,11 +117,11 @@ def traced_as_one(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
 
 
 def _shown(call: RenderCall, integrand: Integrand, samples: CameraSample, hit: Hit | None, L: Vec3) -> list[Tensor]:
-    """Splats the radiance of an image's lanes, and AOVs beside it.
+    """The radiance of an image's lanes, weighted by the camera, and the values of AOVs beside it.
 
     Args:
         samples: their camera rays.
-        hit: what these meet; None: nothing, for there are no bounces.
+        hit: what these hit; None: there are no bounces.
         L: their radiance.
     """
     if call.quantities is None:
@@ -143,16 +143,16 @@ def record_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefron
 
 
 def bounced_in_part(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """As `bounced`, with the part of the state that is kept where the backward pass replays no bounce."""
+    """Takes a bounce as `bounced` does, but returns only the part of the path states that the backward pass reads."""
     state, step, onward = bounced(integrand, onward, depth, L)
     return part_kept(integrand, state), step, onward
 
 
 class Recorder:
-    """Records camera hits, and bounces as the strategy asks, up to `most`.
+    """Records first hits, and states and steps of bounces as the adjoint strategy needs them, of at most `most` bounces.
 
     Args:
-        keeping: False: of all bounces nothing is asked for.
+        keeping: False: no bounce is recorded.
     """
 
     def __init__(self, strategy, most: int, keeping: bool = True):
@@ -163,7 +163,7 @@ class Recorder:
 
     @property
     def bounce(self) -> Bounce:
-        """The function that takes each bounce; its states hold no more than the strategy needs of them."""
+        """The function that takes each bounce; its path states hold only what the strategy needs."""
         return bounced_in_part if self.keeping and self.strategy.records_all else bounced
 
     def visit(self, depth: int, state: PathState, step: Step) -> None:

@@ -16,7 +16,7 @@ from torch_radbp.tensors.differentiated import differentiable, with_derivative_o
 
 
 def rendered(call: RenderCall) -> Tensor:
-    """(B, C, H, W) with the derivatives of what is seen inside of edges, and with the quantities of the call."""
+    """The images of a call, (B, C, H, W), AOV channels included, with interior derivatives (without boundary terms)."""
     record = call.scene, call.source.tensors
     forward_mode = has_tangents(record)
     if not forward_mode and not (torch.is_grad_enabled() and differentiable(record)):

@@ -16,7 +16,7 @@ from torch_radbp.tensors.vec import Vec3, rows
 
 @dataclass(frozen=True)
 class ReplayAdjoint(AdjointStrategy):
-    """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k on the way down. To compare with.
+    """Keeps only L_1 and recovers L_{k+1} = (L_k - E_k) / F_k from bounce to bounce; for comparison.
 
     Wrong where F_k is 0: at a reflectance of exactly 0 the incident radiance cannot be recovered, and the derivative that
     it would have carried is missing. Use `MemoizedAdjoint` there. It also loses digits where F_k is small. Where rays carry
@@ -44,7 +44,7 @@ class ReplayAdjoint(AdjointStrategy):
         return sum(reaching) if moving else 4 * max(reaching)  # of a bounce and the next; its terms are as much again
 
     def backward(self, sweep: Sweep) -> None:
-        """Walks down the path with the remaining radiance L_k."""
+        """Walks down the path with the remaining radiance L_k, and differentiates each bounce."""
         L, stack = sweep.record.radiance, []
         for bounce in bounces(sweep.integrand, sweep.record.start(), steps=sweep.record.steps):
             depth, state, lane, F = bounce.depth, bounce.state, bounce.vertex.next.lane, bounce.F

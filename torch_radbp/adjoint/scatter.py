@@ -30,7 +30,7 @@ FEW = 1 << 8  # entries of a table below which it takes less to sum several in o
 
 
 class Contribution(NamedTuple):
-    """The adjoints of one table look-up, to be added to the table's gradient."""
+    """The adjoints of one table read, to be added to the table's gradient at the indices read."""
 
     leaf: int  # index of the table
     index: Tensor  # (N,) int32
@@ -57,7 +57,7 @@ def blocks_of(tables: Sequence[Tensor]) -> list[TableBlock]:
 
 
 def lie_together(one: Tensor, other: Tensor) -> bool:
-    """True if the gradients of two tables belong in one block, which the first of them starts."""
+    """True if the gradients of two tables belong in one block, of which `one` is the first."""
     if one.dim() != 1 or other.shape != one.shape or (other.dtype, other.device) != (one.dtype, one.device):
         return False
     stride, apart = one.stride(0), other.storage_offset() - one.storage_offset()
@@ -66,12 +66,12 @@ def lie_together(one: Tensor, other: Tensor) -> bool:
 
 
 def bytes_of_totals(tables: Iterable[Tensor]) -> int:
-    """The bytes of one worker's totals of some tables."""
+    """The memory in bytes in which one worker sums the gradients of some tables."""
     return torch.float64.itemsize * sum([table.numel() for table in tables])
 
 
 def workers_beside(workers: int, totals: float) -> int:
-    """How many of the workers differentiate side by side, if each has so many bytes of totals: all, or one."""
+    """The number of workers that differentiate at the same time, if each needs `totals` bytes: all, or one."""
     return workers if totals <= MOST_BESIDE else 1
 
 
@@ -80,7 +80,7 @@ class Gradients:
 
     Args:
         tables: (K,) each, or () for a number; of any shape if only whole gradients are added.
-        memory: for the totals; None: fresh.
+        memory: in which sums are kept; None: new memory.
     """
 
     def __init__(self, tables: Sequence[Tensor], memory: ZeroedMemory | None = None):
@@ -113,14 +113,14 @@ class Gradients:
         scatter_add(additions)
 
     def sums_of(self, leaves: tuple[int, ...], entries: int) -> Sums:
-        """The arrays to which the gradients of some tables with `entries` entries are added."""
+        """The arrays into which the gradients of some tables with `entries` entries are summed."""
         sums = self.sums.get(leaves)
         if sums is None:
             sums = self.sums[leaves] = Sums([self.totals[leaf] for leaf in leaves], self.touched[entries])
         return sums
 
     def add_whole(self, leaf: int, gradient: Tensor) -> None:
-        """Adds to the gradient of a whole table."""
+        """Adds a gradient of the whole table `leaf`."""
         entries = gradient.numel()
         self.totals[leaf][:entries, 0] += gradient.reshape(-1)
         self.touched[entries].fill_(True)
@@ -129,13 +129,14 @@ class Gradients:
 def gradients_of(workers: Sequence[Gradients], repetitions: Repetitions | None = None) -> tuple[list[Tensor], bool]:
     """Sums all workers' gradients in a fixed order, in the tables' shapes and dtypes.
 
-    Those of columns of the same rows are such columns, too. The workers' totals are zero afterwards.
+    Tables that are columns of one array get gradients that are columns of one array, too. The workers' sums are zero
+    afterwards.
 
     Returns:
         The gradients; and whether all are finite.
 
     Raises:
-        TooFewRepetitions: if what was repeated has not come to its end.
+        TooFewRepetitions: if a loop on the device was not repeated to its end.
     """
     tables, results, pieces, size = workers[0].tables, [], [], 0
     touched = {entries: pages_touched([worker.touched[entries] for worker in workers]) for entries in workers[0].touched}
@@ -155,10 +156,10 @@ def gradients_of(workers: Sequence[Gradients], repetitions: Repetitions | None =
 
 
 def take_over(rows: Tensor, totals: Sequence[Tensor], place: Tensor) -> Tensor:
-    """Moves the sums on touched pages (blocks of entries) into the rows of a gradient.
+    """Moves the workers' sums on touched pages (blocks of entries) into the rows of a gradient.
 
     Returns:
-        Numbers that are finite if what was written is.
+        Numbers that are all finite if and only if the written ones are.
     """
     total, *others = (own.index_select(0, place) for own in totals)
     for other in others:

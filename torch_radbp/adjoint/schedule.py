@@ -27,12 +27,12 @@ class Action(NamedTuple):
 
 
 def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tuple[int, ...]:
-    """The depths whose state is kept after `bounces` bounces, a subset of those after one bounce less, and the last.
+    """The depths whose path states are kept after `bounces` bounces: some of those kept one bounce before, and the last.
 
     Args:
         bounces: how many were taken so far, N.
         stride: every `stride`-th; "sqrt" for about sqrt(N) of them, every s-th with s the least power of two whose square
-            is at least N / 2; "log" for those at most (1 - 2^-i), at most log2 of it.
+            is at least N / 2; "log" for the depths most * (1 - 2^-i), i = 0, 1, ..., about log2(most) of them.
         most: the greatest number of bounces that there may be; None: `bounces`. Used by "log" only.
     """
     if stride == "log":
@@ -45,7 +45,7 @@ def kept_depths(bounces: int, stride: int | str, most: int | None = None) -> tup
 
 
 def square_root_step(bounces: int) -> int:
-    """The stride for "sqrt": the least power of two s with 2 s^2 >= N; at most 2.13 sqrt(N) states are held at once."""
+    """The step s for stride "sqrt": the least power of two with 2 s^2 >= N; at most 2.13 sqrt(N) states are held at once."""
     step = 1
     while 2 * step * step < bounces:
         step *= 2
@@ -71,7 +71,7 @@ def backward_plan(bounces: int, kept: tuple[int, ...], stride: int | str) -> lis
 
 
 def replay_segment(first: int, end: int, plan: list[Action]) -> None:
-    """Plans to replay a segment once, keeping every state of it."""
+    """Plans to replay the bounces `first` to `end` once, keeping every state."""
     plan.append(Action(LOAD, first))
     for depth in range(first, end - 1):
         plan += [Action(ADVANCE, depth), Action(KEEP, depth + 1)]

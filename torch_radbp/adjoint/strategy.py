@@ -31,16 +31,16 @@ class AdjointStrategy(ABC):
         return render_with_derivative(call)
 
     def dual_image(self, call: RenderCall) -> Tensor:
-        """Renders images with forward-mode tangents, from the call's own samples."""
+        """Renders images with forward-mode tangents (dual tensors), from the call's own samples."""
         return render_tangents(call)
 
     @abstractmethod
     def kept(self, bounces: int, most: int) -> tuple[int, ...]:
-        """The depths whose state the forward pass keeps after `bounces` of at most `most` bounces."""
+        """The depths whose path states the forward pass keeps after `bounces` of at most `most` bounces."""
 
     @abstractmethod
     def replayed(self, reaching: Sequence[float], kept: tuple[int, ...], moving: bool) -> float:
-        """The number of states of a camera path that `backward` holds at once beside those kept.
+        """The number of path states per camera path that `backward` holds at once beside those kept.
 
         Args:
             reaching: for each bounce, the share of the camera paths that reach it.

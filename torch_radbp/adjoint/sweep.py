@@ -38,7 +38,7 @@ from torch_radbp.tensors.vec import Vec2, Vec3
 
 
 class PathRecord(NamedTuple):
-    """The record of a chunk's forward pass for its backward pass."""
+    """What a chunk's forward pass records for its backward pass."""
 
     start: Callable[[], PathState]  # makes the camera paths again
     radiance: Vec3 | None  # L_1 of each lane, kept for path replay only
@@ -51,11 +51,11 @@ class PathRecord(NamedTuple):
 
 
 def numbered_leaves(scene: SceneTensors, wanted: tuple[bool, ...]) -> SceneTensors:
-    """A record with the gradient index of each differentiated leaf; None elsewhere.
+    """The structure of a scene with the gradient index of each differentiated leaf; None elsewhere.
 
     Args:
-        scene: any.
-        wanted: of each leaf of it.
+        scene: the scene.
+        wanted: for each leaf of it, whether it is differentiated.
     """
     counted = itertools.count()
     return with_leaves(scene, [next(counted) if want else None for want in wanted])
@@ -65,11 +65,11 @@ class Sweep:
     """The state of one chunk's backward pass: the memo, the adjoint of the image, the gradients.
 
     Args:
-        integrand: of the detached scene.
+        integrand: with a detached scene.
         record: of the forward pass.
         adj_L: (N,) dloss/dL_1 of the chunk's lanes.
-        numbered: the scene with the numbers of the leaves to differentiate, see `numbered_leaves`.
-        gradients: of these leaves, added to.
+        numbered: the gradient indices of the leaves, see `numbered_leaves`.
+        gradients: the gradients of the leaves, added to.
     """
 
     def __init__(self, integrand: Integrand, record: PathRecord, adj_L: Vec3, numbered: SceneTensors,
@@ -86,11 +86,11 @@ class Sweep:
 
     @property
     def chunk(self) -> LanesOfChunk:
-        """What there is of all lanes."""
+        """The adjoints, memo and random keys of all lanes."""
         return LanesOfChunk(self.adj_L, self.memo, self.record.key)
 
     def advance(self, state: PathState, depth: int) -> PathState:
-        """Replays one bounce."""
+        """Replays one bounce: returns the states of the paths that go on."""
         vertex, _, step = take_step(self.integrand, state, depth, self.record.steps.get(depth), with_light=False)
         return survivors(self.integrand, vertex.next, step)
 
@@ -111,7 +111,7 @@ class Sweep:
             self.finish()
 
     def differentiate(self, state: PathState, step: Step, chunk: LanesOfChunk, depth: int) -> tuple[ModuleAdjoint, ...]:
-        """As `adjoint`, of a bounce whose decisions are known; returns what networks are still to be asked for."""
+        """Differentiates a bounce whose decisions are known; returns the adjoints of network texture values."""
         adj_modules: tuple[ModuleAdjoint, ...] = ()
         # Surface by surface: the lanes that meet one appearance go through the functions of that.
         for local in self.local.maps(state, step, chunk, depth):
@@ -127,5 +127,5 @@ class Sweep:
         return adj_modules
 
     def finish(self) -> None:
-        """Adds the gradients of modules that are still pending."""
+        """Adds the gradients of network textures whose adjoints are still queued."""
         self.modules.add_held()

@@ -17,10 +17,10 @@ from torch_radbp.tensors.differentiated import with_derivative_of
 
 @dataclass(frozen=True)
 class TapeAdjoint(AdjointStrategy):
-    """Records every operation of the forward pass by autograd: the reference for tests.
+    """Plain autograd, which records every operation of the forward pass: the reference for tests.
 
-    Memory grows with everything that is computed. Takes no part in the `autograd.Function` of images; the loop over bounces
-    is recorded as it runs.
+    Memory grows with everything that is computed. The `autograd.Function` of images is not used; the loop over bounces is
+    recorded as it runs.
     """
 
     taped = True
@@ -31,7 +31,7 @@ class TapeAdjoint(AdjointStrategy):
         return attached if call.shares_samples else with_derivative_of(render_detached(call), attached)
 
     def dual_image(self, call: RenderCall) -> Tensor:
-        """The images by the samples of the call, with all derivatives of either mode."""
+        """Renders images from the samples of the call, with all derivatives of reverse or forward mode."""
         integrand = call.make_integrand(call.scene)
         return render_images(call, integrand, record=False, bounce=bounce_attached(integrand)).values
 

@@ -34,7 +34,7 @@ QueueKind = tuple[Event, bool, bool]  # what happens, and whether lanes are of t
 
 
 class TapedSweep(Sweep):
-    """A sweep that differentiates bounces by machine code where they can be recorded.
+    """A backward sweep that differentiates bounces by recorded machine code where they can be recorded.
 
     Args:
         board: of the helpers; the rest is a `Sweep`'s.
@@ -78,8 +78,8 @@ class TapedSweep(Sweep):
         return ahead._replace(number=going_on) if isinstance(going_on, LaneCount) else ahead
 
     def takes_outside(self, step: Step | None, depth: int) -> bool:
-        """True if a bounce is not recorded as a whole when it is taken again, decided or not: networks are asked, or rays
-        cast until they meet what the camera may see."""
+        """True if replaying a bounce cannot be recorded as a whole: it evaluates networks, or casts camera rays
+        repeatedly."""
         return self.integrand.scene.layout.reads_outside or (step is None and depth == 0 and self.integrand.rejects_hits)
 
     def finish(self) -> None:
@@ -128,14 +128,14 @@ class TapedSweep(Sweep):
         return tuple([adjoint._replace(first=first, last=last) for adjoint, (first, last) in zip(played.results, borders)])
 
     def kinds(self, step: Step, depth: int) -> tuple[QueueKind, ...]:
-        """The queues that there may be at a bounce, in the order of their lanes, beside those that there are."""
+        """The kinds of queues that are possible at a bounce, in the order of their lanes, whether `step` has them or not."""
         apart = any(kind[1:] not in ALL for kind in map(queue_kind, step.queues))
         scatters, ends = ([event for event in self.integrand.events(depth) if event.scatters == on] for on in (True, False))
         return tuple((event, *kind) for events in (scatters, ends) for event, kind in (
             [(event, kind) for kind in (APART if apart else ALL) for event in events]))
 
     def known_values(self, step: Step, events: Sequence[Event]) -> tuple[TextureValues, ...]:
-        """The values of network textures for each event, from the forward pass; None: not kept, or not needed."""
+        """For each event, its network texture values from the forward pass; None: not kept, or not needed."""
         integrand = self.integrand
         if self.moving or not integrand.scene.layout.reads_outside:
             return (None,) * len(events)
@@ -153,12 +153,12 @@ class TapedSweep(Sweep):
 
 
 def queue_kind(queue: Queue) -> QueueKind:
-    """What a queue is beside its lanes."""
+    """The event of a queue, and whether its lanes count in the image and in the derivative."""
     return queue.event, queue.image, queue.derivative
 
 
 def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int | LaneCount]:
-    """Where the first queue of some kinds ends, the next begins and ends, ...; those that are not there are empty."""
+    """The borders of queues of given kinds: end of the first, start and end of the second, ...; missing queues are empty."""
     borders, last = [], 0
     for kind in kinds:
         queue = queues.get(kind)
@@ -167,7 +167,7 @@ def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int
 
 
 def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
-    """What was decided at a bounce, without contents, of lanes in some queues."""
+    """A step of given queues with tensors that have shapes but no contents."""
     hit, front, picked, flight = without_contents((step.hit, step.front, step.picked, step.flight), reserve)
     scattered = [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
     values = tuple([without_contents(values, reserve, queue.last - queue.first)
@@ -179,7 +179,7 @@ def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
 
 @contextmanager
 def sweep_of(integrand: Integrand, *arguments) -> Iterator[Sweep]:
-    """A sweep that uses machine code where possible; on exit all gradients are complete."""
+    """Yields a sweep, which runs recorded machine code where possible; on exit all gradients are complete."""
     if not recordable(integrand):
         yield (sweep := Sweep(integrand, *arguments))
         sweep.finish()

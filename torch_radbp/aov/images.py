@@ -26,7 +26,7 @@ from torch_radbp.tensors.vec import Vec3
 
 
 def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit | None, Vec3], list[Tensor]]:
-    """The function for `RenderCall.quantities` that computes AOVs beside an image."""
+    """A function, for `RenderCall.quantities`, that computes the channels of AOVs of an image's camera paths."""
     def values(integrand: Integrand, start: PathState, hit: Hit | None, L: Vec3) -> list[Tensor]:
         return channels_of(names, lane_values(integrand, start, tuple(dict.fromkeys(map(plain, names))), hit, L))
 
@@ -36,12 +36,13 @@ def beside_image(names: tuple[str, ...]) -> Callable[[Integrand, PathState, Hit 
 def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | None = None) -> dict[str, Tensor]:
     """Renders AOVs: (B, C, H, W) images, by name.
 
-    Attached to scene and cameras, in either mode; the derivative has samples of its own, unless the call shares them.
+    Attached to scene and cameras, in forward and backward mode; derivatives have samples of their own unless `call` shares
+    them.
 
     Args:
-        call: prepared for quantities.
-        names: of them.
-        channels: what the call has of them beside its image; None: it has no image.
+        call: the rendering, prepared for AOVs.
+        names: of the AOVs.
+        channels: the AOVs that the call has rendered beside its image; None: it has rendered no image.
     """
     images = by_name(names, channels) if channels is not None else quantities_of(call.still(), names)
     record = call.scene, call.source.tensors
@@ -53,10 +54,10 @@ def render_aovs(call: RenderCall, names: tuple[str, ...], channels: Tensor | Non
 
 
 def quantities_of(call: RenderCall, names: tuple[str, ...], attached: bool = False) -> dict[str, Tensor]:
-    """Renders AOVs by the samples of a call.
+    """Renders AOVs by the camera samples of a call: (B, C, H, W) images, by name.
 
-    Of a wavefront only its sums are kept. Where they are attached, quantities are computed again in the backward pass, so
-    that a wavefront bounds the memory.
+    Only pixel sums are kept. Where these are attached, AOVs are computed again in the backward pass, so that one wavefront
+    (batch of paths) bounds the memory.
     """
     if attached:
         call = call._replace(stages=EAGER)
@@ -90,7 +91,7 @@ def channels_of(names: tuple[str, ...], values: dict[str, surface.Values]) -> li
 
 
 def moments(name: str, values: surface.Values) -> surface.Values:
-    """The values of a quantity; their squares if the name asks for the second moment."""
+    """The values of an AOV, squared if its name has the prefix of second moments."""
     return tuple(value * value for value in values) if name.startswith(SQUARED) else values
 
 
@@ -101,9 +102,9 @@ def lane_values(integrand: Integrand, start: PathState, names: tuple[str, ...], 
     Args:
         integrand: of the image.
         start: (N,) camera paths.
-        names: of the quantities.
-        hit: what the integrand shows of the camera rays, if it is known.
-        L: their radiance, likewise.
+        names: of the AOVs.
+        hit: the first hits of the camera rays in the image, if already computed.
+        L: the radiance along the camera rays, if already computed.
     """
     fixed, fixed_start = integrand.still(), detached(start)
     quantities = {}

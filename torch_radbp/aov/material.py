@@ -19,7 +19,7 @@ from torch_radbp.vertex.material import material_at, material_places
 
 
 def turns_normals(scene: SceneTensors) -> bool:
-    """True if a material of the scene has shading normals of its own (normal or bump map)."""
+    """True if a material of the scene perturbs the shading normal (normal or bump map)."""
     return any(appearance.kind.turns_normals for appearance in scene.layout.appearances)
 
 
@@ -31,7 +31,7 @@ def material_values(integrand: Integrand, state: PathState, hit: Hit, names: tup
         integrand: attached.
         state, hit: (N,) of camera paths.
         names: of the quantities.
-        normals: the normals by which surfaces are shaded where no material turns them.
+        normals: the shading normals of surfaces whose material does not perturb them.
     """
     none = hit.t.new_zeros(hit.t.shape)
     quantities = {"albedo": (none, none, none), "sh_normal": normals}
@@ -75,13 +75,13 @@ FUNCTIONS = {"albedo": albedo, "sh_normal": turned_normal}
 @stage("scene")
 def material_value(scene: SceneTensors, arrival: Arrival, texture_values: tuple[TextureValue, ...], settings: Settings,
                    name: str) -> Values:
-    """One AOV of the material, for lanes that hit one appearance.
+    """One AOV of the material, for lanes whose camera rays hit one kind of material.
 
     Args:
-        scene: the part that these lanes read.
-        arrival: the lanes.
-        texture_values: the values of textures that are read outside.
-        settings: the integrand.
-        name: of the quantity.
+        scene: the tables that these lanes read.
+        arrival: the lanes' arrivals at the surface.
+        texture_values: the values of textures that compiled code cannot evaluate, such as networks.
+        settings: of the integrand.
+        name: of the AOV.
     """
     return FUNCTIONS[name](scene, arrival, texture_values, settings)

@@ -28,7 +28,7 @@ def channel_names(name: str, quantity: str) -> list[str]:
 
 
 def alpha_of_surroundings(names: Iterable[str]) -> UserWarning | None:
-    """The warning that `alpha` is no mask where the environment is visible; or None."""
+    """The warning that `alpha` is 1 everywhere because an environment is visible; None unless `alpha` is among the names."""
     if "alpha" not in map(plain, names):
         return None
     return UserWarning("the quantity 'alpha' is 1 everywhere, because an emitter surrounds the scene and counts as seen: as "

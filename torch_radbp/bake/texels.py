@@ -93,7 +93,7 @@ def pairs(corners: Tensor, usable: Tensor, height: int, width: int) -> Iterator[
 
 
 def weights_in(corners: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """(P, 3) barycentric coordinates of points, inside of their triangles, (P, 3, 2), or not."""
+    """(P, 3) barycentric coordinates of points x, y in triangles, (P, 3, 2); negative ones outside."""
     first = corners[:, 0]
     (a, b), (c, d) = ((corners[:, corner] - first).unbind(1) for corner in (1, 2))
     right, down = x - first[:, 0], y - first[:, 1]

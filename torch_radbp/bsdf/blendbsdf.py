@@ -23,9 +23,9 @@ ROUNDING = 1e-6  # by which weights of 0 and 1 may be off when they are read fro
 
 @dataclass(frozen=True)
 class BlendKind(Kind):
-    """A blend of two kinds of BSDF. Values: weight (a scalar, of the second kind), those of the first, those of the second.
+    """A blend of two BSDFs. Parameter values: weight (a scalar, of the second), those of the first, those of the second.
 
-    The lobe that is chosen is the number of a kind; its own choice is among the parts.
+    In a `LobeChoice`, `lobe` is 0 for the first BSDF and 1 for the second, and `parts` has the choice of each.
     """
 
     first: Kind
@@ -78,24 +78,24 @@ class BlendKind(Kind):
 
     @property
     def follows(self) -> bool:
-        """True if hybrid sampling differentiates directions of both kinds: the densities of their lobes are summed."""
+        """True if sampling="hybrid" differentiates directions sampled from both BSDFs, whose densities are summed."""
         return all(kind.follows or not kind.smooth for kind in (self.first, self.second)) and self.smooth
 
     def numbers(self, of_first: tuple[int, ...], of_second: tuple[int, ...]) -> tuple[int, ...]:
-        """Renumbers the parameters of the two nested kinds as parameters of the blend."""
+        """Renumbers the parameters of the two nested BSDFs as parameters of the blend."""
         return *(1 + k for k in of_first), *(1 + self.first.slots + k for k in of_second)
 
     def parts(self, values: Values) -> tuple[Values, Values]:
-        """Splits the values into those of the first and of the second kind."""
+        """Splits the parameter values into those of the first and of the second BSDF."""
         end = 1 + self.first.slots
         return values[1:end], values[end:]
 
     def chance_of_second(self, weight: Tensor) -> Tensor:
-        """The probability of sampling the second kind: its weight, within `LEAST_CHANCE` of 0 and 1.
+        """The probability of sampling the second BSDF: its weight, within `LEAST_CHANCE` of 0 and 1.
 
-        If the weight is `still`, it is 0 or 1 where the weight is: a kind without weight is not sampled. Surfaces may move
-        all the same: where a weight in [0, 1] has one of these values, its derivative by the place is zero. Outside of
-        [0, 1] both kinds have a weight, one of them a negative one, and both are sampled.
+        If the weight is `still` (not differentiated), it is 0 or 1 where the weight is: a BSDF without weight is not
+        sampled. Surfaces may move all the same: where a weight in [0, 1] has one of these values, its derivative by the
+        position is zero. Outside of [0, 1] both BSDFs have a weight, one of them a negative one, and both are sampled.
         """
         chance = weight.clamp(LEAST_CHANCE, 1.0 - LEAST_CHANCE)
         if not self.still:
@@ -158,7 +158,7 @@ class BlendKind(Kind):
 
 
 def own_sample(kind: Kind, values: Values, wi: Vec3, choice: LobeChoice, u: Tensor, v: Tensor) -> Vec3:
-    """A direction sampled by one of several kinds; on the horizon where it is invalid, or belongs to another kind's lobe."""
+    """A direction sampled by one of several BSDFs; on the horizon where that has density zero, whatever the others have."""
     wo = kind.sample(values, wi, choice, u, v)
     if not kind.smooth:
         return wo

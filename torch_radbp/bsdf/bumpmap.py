@@ -20,8 +20,8 @@ LIMIT = 1e6  # of heights and of their scale: the squares of slopes are finite i
 
 @dataclass(frozen=True)
 class BumpMapKind(TurnedKind):
-    """A bump-mapped kind. Values: slope of the heights (see `barycentric_gradients.py`), scale (a scalar), those of the
-    nested kind.
+    """A bump-mapped BSDF. Parameter values: slope of the heights (see `barycentric_gradients.py`), scale (a scalar), those
+    of the nested BSDF.
     """
 
     normal_values: ClassVar[int] = 2

@@ -36,7 +36,7 @@ def check_rates(rates: dict[str, float], needed: str) -> None:
 
 
 def at_least_some(weight: Number) -> Number:
-    """The weight of a lobe for lobe selection: `LEAST_SHARE` or more."""
+    """The weight of a lobe with which it is selected: at least `LEAST_SHARE`."""
     return weight.clamp_min(LEAST_SHARE) if isinstance(weight, Tensor) else max(weight, LEAST_SHARE)
 
 

@@ -17,7 +17,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class ConductorKind(DeltaKind):
-    """A smooth conductor. Values: eta, k, specular_reflectance."""
+    """The BSDF of a smooth conductor. Parameter values: eta, k, specular_reflectance."""
 
     @property
     def slots(self) -> int:

@@ -24,7 +24,7 @@ ADVICE = "; every lane is another path, and all are computed at once: use torch.
 
 
 class CheckedKind:
-    """A wrapper around a material's kind that checks the results of every method.
+    """A wrapper around the scattering functions of a material (its `Kind`) that checks the results of every method.
 
     Args:
         kind: of the material.
@@ -47,7 +47,7 @@ class CheckedKind:
         return f"the bsdf {self.plugin!r}: {type(self.kind).__name__}.{method}"
 
     def call(self, method: str, *arguments: Any) -> Any:
-        """Calls a method of the kind; what it raises becomes a TypeError that names the method."""
+        """Calls a scattering function; what it raises becomes a TypeError that names the function."""
         try:
             return getattr(self.kind, method)(*arguments)
         except torch.OutOfMemoryError:
@@ -123,14 +123,14 @@ class CheckedKind:
 
 
 def checked_kind(bsdf: BSDF) -> CheckedKind:
-    """The kind of a material in a checking wrapper; raises as `check_described`."""
+    """The scattering functions of a material, wrapped in checks of their results; raises as `check_described`."""
     kind = bsdf.kind()
     check_described(bsdf, kind, bsdf.textures())
     return CheckedKind(kind, material_name(bsdf))
 
 
 def check_described(bsdf: BSDF, kind: Any, textures: Any) -> None:
-    """Checks a material's `kind()` and `textures()`.
+    """Checks that a material's `kind()` and `textures()` return a `Kind` and as many textures as that takes.
 
     Raises:
         TypeError: if one is of another type.
@@ -173,7 +173,7 @@ def check_contract(bsdf: BSDF, kind: Kind, textures: Sequence[Texture], dtype: t
 
 @lru_cache(maxsize=256)
 def call_each(kind: Kind, plugin: str, dtype: torch.dtype, device: torch.device) -> None:
-    """Calls each function of a kind on a few lanes; raises as the methods of `CheckedKind`."""
+    """Calls each scattering function of a kind on a few lanes; raises as the methods of `CheckedKind`."""
     with torch.no_grad():
         checked, z = CheckedKind(kind, plugin), torch.tensor(COSINES, dtype=dtype, device=device)
         half = torch.full_like(z, HALF)

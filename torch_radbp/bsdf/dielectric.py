@@ -39,7 +39,7 @@ def decide(reflectance: Tensor, choice: Tensor) -> LobeChoice:
 
 @dataclass(frozen=True)
 class DielectricKind(DeltaKind):
-    """A smooth dielectric boundary. Values: eta (a scalar), specular_reflectance, specular_transmittance.
+    """A smooth dielectric boundary. Parameter values: eta (a scalar), specular_reflectance, specular_transmittance.
 
     Radiance that crosses the boundary is scaled by the squared ratio of the indices.
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", section 5.2.

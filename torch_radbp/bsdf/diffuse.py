@@ -16,7 +16,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class DiffuseKind(Kind):
-    """A Lambertian reflector. Values: reflectance."""
+    """The BSDF of a Lambertian reflector. Parameter values: reflectance."""
 
     @property
     def slots(self) -> int:

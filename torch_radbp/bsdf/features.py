@@ -18,7 +18,7 @@ Number = Tensor | float  # of a parameter that a material does not have: its val
 
 @dataclass(frozen=True)
 class FeaturedKind(Kind):
-    """A kind with optional parameters. Values: `always` many fixed ones, then one number for each of the `features`."""
+    """A BSDF with optional parameters. Parameter values: `always` fixed ones, then one scalar for each of the `features`."""
 
     features: tuple[str, ...]
 
@@ -34,7 +34,7 @@ class FeaturedKind(Kind):
         return self.always + len(self.features)
 
     def has(self, name: str) -> bool:
-        """True if the material has an optional parameter."""
+        """True if the material has the optional parameter `name`."""
         return name in self.features
 
     def number(self, values: Values, name: str) -> Number:
@@ -42,7 +42,7 @@ class FeaturedKind(Kind):
         return values[self.always + self.features.index(name)].x if self.has(name) else 0.0
 
     def places(self, *names: str) -> tuple[int, ...]:
-        """The indices, among the values, of some optional parameters, without absent ones."""
+        """The indices of optional parameters among all parameter values; absent ones are skipped."""
         return tuple(self.always + place for place, name in enumerate(self.features) if name in names)
 
 

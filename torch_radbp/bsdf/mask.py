@@ -16,7 +16,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class MaskKind(BlendKind):
-    """An opacity mask: a blend whose first kind is `null`, so that holes have no colour."""
+    """An opacity mask: a blend whose first BSDF is `null`, so that holes have no colour."""
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
         return self.second.diffuse_reflectance(self.parts(values)[1], wi)

@@ -45,7 +45,7 @@ SQRT_PI = math.sqrt(math.pi)
 
 
 def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
-    """The GGX distribution of microfacet normals (Trowbridge and Reitz)."""
+    """The unit vector along a half vector `h`, flipped to the side of the normal (the normal if h vanishes), and |h|^2."""
     squared = dot(h, h)
     vanishes = (squared < SMALLEST_HALF_VECTOR).to(h.z.dtype)
     squared = squared.clamp_min(SMALLEST_HALF_VECTOR)
@@ -55,7 +55,7 @@ def half_vector(h: Vec3) -> tuple[Vec3, Tensor]:
 
 
 class GGX(NamedTuple):
-    """The distribution of Trowbridge and Reitz."""
+    """The GGX distribution of microfacet normals (Trowbridge and Reitz)."""
 
     alpha_u: Tensor  # (N,) roughness along x and y, attached
     alpha_v: Tensor
@@ -150,7 +150,7 @@ def floored(alpha: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class MicrofacetKind(Kind):
-    """A surface of microfacets. Values: alpha, or alpha_u and alpha_v, and those of the subclass."""
+    """The BSDF of a surface of microfacets. Parameter values: alpha, or alpha_u and alpha_v, and those of the subclass."""
 
     distribution: str
     anisotropic: bool = False
@@ -189,13 +189,13 @@ class MicrofacetKind(Kind):
 
 
 def stretch(facets: Beckmann | GGX, w: Vec3) -> Tensor:
-    """Squared length of (alpha_u x, alpha_v y)."""
+    """Squared length of (alpha_u x, alpha_v y), the horizontal part of `w` stretched by the roughness."""
     x, y = facets.alpha_u * w.x, facets.alpha_v * w.y
     return x * x + y * y
 
 
 def polar(facets: Beckmann, w: Vec3) -> tuple[Tensor, Tensor, Vec2]:
-    """z, t and the azimuth e of `w` (see the module), with its horizontal part stretched by the roughness.
+    """Cosine z of `w`, and length t and unit direction e of its horizontal part stretched by the roughness.
 
     Next to normal incidence, where e is not defined, t is held and e is shorter than one: the distribution depends on e t
     alone in first order, and the error of second order is less than rounding.
@@ -207,7 +207,7 @@ def polar(facets: Beckmann, w: Vec3) -> tuple[Tensor, Tensor, Vec2]:
 
 
 def visible_area(z: Tensor, t: Tensor) -> Tensor:
-    """The projected area A(z / t) of the module's docstring."""
+    """The projected area A(z / t) of all microfacets visible from the direction that `polar` describes by z and t."""
     # Detached, because dA/dq is zero at q = z / t.
     q = (z / t).detach()
     return area_below(q, z, t)

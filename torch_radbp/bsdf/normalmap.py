@@ -18,7 +18,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class NormalMapKind(TurnedKind):
-    """A normal-mapped kind. Values: the normal as a colour (n + 1) / 2, those of the nested kind."""
+    """A normal-mapped BSDF. Parameter values: the normal as a colour (n + 1) / 2, those of the nested BSDF."""
 
     normal_values: ClassVar[int] = 1
 

@@ -15,7 +15,7 @@ from torch_radbp.tensors.vec import Vec3
 
 @dataclass(frozen=True)
 class NullKind(DeltaKind):
-    """An invisible surface. Takes no values."""
+    """The BSDF of an invisible surface, without parameters."""
 
     transmits: ClassVar[bool] = True
     straight: ClassVar[bool] = True

@@ -76,7 +76,9 @@ def coat_or_base(chance: Tensor, number: Tensor) -> LobeChoice:
 
 @dataclass(frozen=True)
 class PlasticKind(Kind):
-    """Smooth plastic. Values: eta (a scalar), diffuse_reflectance, specular_reflectance. Lobes: 0 mirror, 1 base."""
+    """The BSDF of smooth plastic. Parameter values: eta (a scalar), diffuse_reflectance, specular_reflectance.
+
+    Lobe 0 is the mirror, lobe 1 the base."""
 
     nonlinear: bool
 

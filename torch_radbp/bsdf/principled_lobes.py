@@ -94,7 +94,7 @@ class Chances(NamedTuple):
 
 @dataclass(frozen=True)
 class PrincipledKind(FeaturedKind):
-    """A principled material. Values: base_color, then scalars: roughness, specular or eta, those of the `features`."""
+    """The principled BSDF. Parameter values: base_color, then scalars: roughness, specular or eta, those of `features`."""
 
     by_specular: bool
     rates: tuple[float, float, float]  # of sampling the diffuse base, the main boundary and the clearcoat
@@ -108,7 +108,7 @@ class PrincipledKind(FeaturedKind):
 
     @property
     def jumps(self) -> bool:
-        """True if the material refracts; see `RoughDielectricKind`."""
+        """True if the material refracts: by rough glass the BSDF is discontinuous in the directions."""
         return self.transmits
 
     @property
@@ -129,7 +129,7 @@ class PrincipledKind(FeaturedKind):
         return apart_from_one(eta) if self.transmits else eta
 
     def seen(self, values: Values, wi: Vec3) -> tuple[Vec3, Number, Tensor]:
-        """`wi` flipped to the front; 1 if it was in front, else -1; and the relative index of the far side."""
+        """`wi` flipped to the front; 1 if it was in front, else -1; and the relative refractive index of its far side."""
         if not self.transmits:
             return above(wi), 1.0, self.index(values)
         side = side_of(wi)

@@ -56,7 +56,7 @@ RATES = ("specular_reflectance_sampling_rate", "specular_transmittance_sampling_
 
 @dataclass(frozen=True)
 class PrincipledThinKind(FeaturedKind):
-    """A thin principled material. Values: base_color, then scalars: roughness, those of the `features`."""
+    """The BSDF of a thin principled sheet. Parameter values: base_color, then scalars: roughness, those of `features`."""
 
     rates: tuple[float, ...]  # sampling rates of the lobes, in order
 
@@ -66,12 +66,12 @@ class PrincipledThinKind(FeaturedKind):
 
     @property
     def reciprocal(self) -> bool:
-        """False if the material transmits by microfacets: these lose light that is not the same both ways."""
+        """False if it transmits by microfacets, which lose another share of the light in the reverse direction."""
         return not self.has("spec_trans")
 
     @property
     def ends(self) -> bool:
-        """True if the material transmits by microfacets; see the module's docstring."""
+        """True if it transmits by microfacets: directions mirrored to a facet's own side are lost, where the BSDF jumps."""
         return self.has("spec_trans")
 
     @property

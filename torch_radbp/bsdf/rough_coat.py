@@ -56,7 +56,7 @@ ROUNDED = 2e-3  # squared cosines of refraction at which sums over microfacets a
 
 
 def abscissa(z: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The variable of the polynomial for T, in [-1, 1], at direction cosine `z`."""
+    """The variable, in [-1, 1], of the polynomial for the coat's transmittance T at direction cosine `z`."""
     low, high = variable(torch.zeros_like(z), alpha, eta), variable(torch.ones_like(z), alpha, eta)
     return 2.0 * (variable(z, alpha, eta) - low) / (high - low).clamp_min(SMALLEST_SQUARE) - 1.0
 
@@ -71,7 +71,7 @@ def cosine_of(x: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
 
 
 def variable(z: Tensor, alpha: Tensor, eta: Tensor) -> Tensor:
-    """The variable of the polynomial for T before it is mapped to [-1, 1]; see the module's docstring."""
+    """The variable of the polynomial for the coat's transmittance T, before it is mapped to [-1, 1]."""
     bend, shadow = smoothing(alpha, eta)
     cosine2 = z * z - shadow  # times eta^2: of refraction
     size = torch.sqrt(cosine2 * cosine2 + bend * bend)
@@ -88,7 +88,7 @@ def smoothing(alpha: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class Coat(NamedTuple):
-    """The transmittance of a coat, (SUMS,) float64 each: R and the coefficients of T's polynomial, with derivatives."""
+    """A tabulated coat: its reflectance R inside, its transmittance's coefficients, and derivatives; (SUMS,) float64."""
 
     numbers: Tensor
     by_alpha: Tensor
@@ -135,7 +135,7 @@ def reflectance_inside(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
 
 
 def reflectance_upright(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor:
-    """(1,) the sum M(1) of the module's docstring; attached. Arguments as in `reflectance_inside`."""
+    """(1,) the share M(1) of light at normal incidence that the coat reflects back inside, attached; arguments as above."""
     x = (torch.arange(UPRIGHT, dtype=torch.float64, device="cpu") + 0.5) / UPRIGHT
     facets = microfacets(distribution, alpha, alpha)
     m = facets.sample(1.0 - x * x, torch.zeros_like(x))
@@ -144,7 +144,7 @@ def reflectance_upright(distribution: str, alpha: Tensor, eta: Tensor) -> Tensor
 
 
 def unshadowed(distribution: str, alpha: Tensor, cosines: Tensor) -> Tensor:
-    """(M,) S of the module's docstring, for cosines between directions and microfacets; attached.
+    """(M,) the mean shadowing S of reflection by microfacets, over all orientations at given cosines of incidence; attached.
 
     Args:
         alpha: (1,) float64.
@@ -189,10 +189,7 @@ def refracted(distribution: str, alpha: Tensor, eta: Tensor, cosines: Tensor) ->
 
 
 def rounded_reflectance(cosine: Tensor, eta: Tensor) -> tuple[Tensor, Tensor]:
-    """Fresnel reflectance and cosine of refraction, smoothed at the critical angle, where the slope is infinite.
-
-    At the critical angle the slope of the reflectance is infinite; it is rounded off, or sums would have no derivative.
-    """
+    """Fresnel reflectance, smoothed at the critical angle, where its slope is infinite, and cosine of refraction."""
     _, cos_t = dielectric_reflectance(cosine, eta)
     fourth = cos_t**4
     return unpolarised(cosine, cos_t * (fourth / (fourth + ROUNDED * ROUNDED)), eta), cos_t

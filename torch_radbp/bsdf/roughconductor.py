@@ -19,7 +19,7 @@ from torch_radbp.texture.rgb import as_texture
 
 @dataclass(frozen=True)
 class RoughConductorKind(MicrofacetKind):
-    """A rough conductor. Values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
+    """The BSDF of a rough conductor. Parameter values: alpha, or alpha_u and alpha_v; eta, k, specular_reflectance.
 
     Reference: Walter et al. 2007, equations 20, 14 and 24.
     """

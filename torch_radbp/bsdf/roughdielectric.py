@@ -34,7 +34,7 @@ class Microgeometry(NamedTuple):
 
 @dataclass(frozen=True)
 class RoughDielectricKind(MicrofacetKind):
-    """Rough glass. Values: alpha, or alpha_u and alpha_v; eta (a scalar), specular_reflectance, specular_transmittance.
+    """Rough glass. Parameter values: alpha, or alpha_u and alpha_v; eta, specular_reflectance, specular_transmittance.
 
     With the half vector h = wi + eta wo of refraction, |dm / dwo| = eta^2 |wo.m| / |h|^2 (Walter et al. 2007, equations 17,
     20, 21, 24); in the BSDF for radiance eta^2 cancels. Between equal indices h would vanish and refraction would be ideal,
@@ -58,7 +58,7 @@ class RoughDielectricKind(MicrofacetKind):
 
     @property
     def follows(self) -> bool:
-        """True: derivatives at fixed directions are noisier, the more the smoother the surface."""
+        """True: sampling="hybrid" differentiates sampled directions, since fixed ones are noisier on smooth surfaces."""
         return True
 
     @property

@@ -26,7 +26,7 @@ from torch_radbp.tensors.vec import Vec3, attached, dot, where
 
 @dataclass(frozen=True)
 class RoughPlasticKind(MicrofacetKind):
-    """Rough plastic. Values: alpha, eta (scalars), `SUMS` numbers of the coat, diffuse_reflectance, specular_reflectance.
+    """Rough plastic. Parameter values: alpha, eta, `SUMS` numbers of the coat, diffuse_reflectance, specular_reflectance.
 
     Lobe 0 is the coat, lobe 1 the diffuse base; they overlap.
     """

@@ -24,7 +24,7 @@ from torch_radbp.tensors.vec import Vec3
 
 @dataclass(frozen=True)
 class ThinDielectricKind(DeltaKind):
-    """Thin glass. Values: eta (a scalar), specular_reflectance, specular_transmittance. Lobes: 0 reflects, 1 transmits."""
+    """Thin glass. Parameter values: eta, specular_reflectance, specular_transmittance. Lobe 0 reflects, 1 transmits."""
 
     discrete: ClassVar[bool] = True
     transmits: ClassVar[bool] = True

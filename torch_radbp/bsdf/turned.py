@@ -35,7 +35,7 @@ LEAST_CHANCE = 1e-3  # of a frame in which directions are drawn
 
 @dataclass(frozen=True)
 class TurnedKind(Kind):
-    """A kind with perturbed shading normals. Values: `normal_values` many for the normal, those of the nested kind."""
+    """A BSDF with a perturbed shading normal. Parameter values: `normal_values` for the normal, those of the nested BSDF."""
 
     nested: Kind
     flip: bool
@@ -61,7 +61,7 @@ class TurnedKind(Kind):
 
     @property
     def draws_frames(self) -> bool:
-        """True if it is drawn whether the normal is that of viewers who see it turned round."""
+        """True if sampling first decides whether the sampled viewer sees the normal turned round: for paths from lamps."""
         return self.from_lamps and self.flip
 
     def adjoint(self) -> Kind:
@@ -114,11 +114,11 @@ class TurnedKind(Kind):
         return self.frame_if(values, self.is_turned_round(values, wi))
 
     def is_turned_round(self, values: Values, wi: Vec3) -> Tensor | None:
-        """(N,) bool: to a viewer the normal is turned about the surface's own; None: to no one."""
+        """(N,) bool: the normal faces away from the viewer `wi`, so it is turned round; None: it never is."""
         return wi.z * dot(wi, self.normal(values)) <= 0 if self.flip else None
 
     def frame_if(self, values: Values, turned_round: Tensor | None) -> Frame:
-        """The frame of a viewer to whom `is_turned_round` says this."""
+        """The frame around the perturbed normal, rotated by half a turn about the surface's own where `turned_round`."""
         n = self.normal(values)
         one = torch.ones_like(n.z)
         if turned_round is not None:
@@ -137,7 +137,7 @@ class TurnedKind(Kind):
         return self.nested.diffuse_reflectance(values[self.normal_values:], self.frame(values, wi).to_local(wi))
 
     def passes(self, frame: Frame, wo: Vec3, turned: Vec3) -> Tensor:
-        """The share of light that is kept, in [0, 1]: 0 if it crosses only one of the two horizons."""
+        """The shadowing factor in [0, 1], 0 between the horizons of both normals; `turned` is `wo` in `frame`."""
         kept = (wo.z * turned.z > 0).to(wo.z.dtype)
         if not self.shadowing:
             return kept
@@ -159,11 +159,11 @@ class TurnedKind(Kind):
         return value, pdf * (wo.z != 0).to(pdf.dtype)
 
     def chance_of_turned_round(self, values: Values) -> Tensor:
-        """The probability of drawing directions to viewers to whom the normal is turned round; detached."""
+        """The probability with which paths from lamps sample viewers who see the normal turned round; detached."""
         return (0.5 * torch.sqrt(1.0 - self.frame_if(values, None).n.z.detach() ** 2)).clamp(LEAST_CHANCE, 0.5)
 
     def drawn_frame(self, values: Values, wi: Vec3, choice: LobeChoice) -> tuple[Frame, LobeChoice]:
-        """The frame in which a direction is sampled, and the choice of the nested kind."""
+        """The frame in which a direction is sampled, and the lobe choice of the nested BSDF."""
         if not self.draws_frames:
             return self.frame(values, wi), choice
         return self.frame_if(values, choice.lobe > 0), choice.parts[0]
@@ -212,26 +212,32 @@ class TurnedKind(Kind):
         frame, own = self.drawn_frame(values, wi, choice)
         return self.nested.spread(values[self.normal_values:], frame.to_local(wi), own)
 
+    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
+        nested, frame = values[self.normal_values:], self.frame(values, wi)
+        turned = frame.to_local(wi)
+        light, chance = self.nested.null_transmission(nested, turned)
+        light = light * self.passes(frame, -wi, -turned)
+        if not self.draws_frames:
+            return light, chance
+        round_, flipped = self.chance_of_turned_round(values), torch.ones_like(chance, dtype=torch.bool)
+        chances = (self.nested.null_transmission(nested, self.frame_if(values, mask).to_local(wi))[1]
+                   for mask in (flipped, ~flipped))
+        return light, sum(share * each for share, each in zip((round_, 1.0 - round_), chances))
+
+    def chooses_null(self, choice: LobeChoice) -> Tensor:
+        return self.nested.chooses_null(choice.parts[0] if self.draws_frames else choice)
+
 
 def chance_of_frame(chance: Tensor, turned_round: Tensor) -> Tensor:
-    """The probability of having drawn this; `chance`: that the normal is turned round."""
+    """The probability of the sampled `turned_round`, which is true with probability `chance`."""
     return torch.where(turned_round, chance, 1.0 - chance)
 
 
 def picked_with(chance: Tensor, number: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether a random number picks what has a probability within (0, 1), and the number that is left of it."""
+    """True with probability `chance`, by a uniform random number, and a new uniform number made of its remainder."""
     picked = number < chance
     rest = torch.where(picked, number / chance, (number - chance) / (1.0 - chance))
     return picked, rest.clamp(0.0, LARGEST_NUMBER)
-
-    def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
-        frame = self.frame(values, wi)
-        turned = frame.to_local(wi)
-        light, chance = self.nested.null_transmission(values[self.normal_values:], turned)
-        return light * self.passes(frame, -wi, -turned), chance
-
-    def chooses_null(self, choice: LobeChoice) -> Tensor:
-        return self.nested.chooses_null(choice)
 
 
 def squared_tangent(w: Vec3) -> Tensor:

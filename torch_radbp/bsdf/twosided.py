@@ -14,10 +14,10 @@ from torch_radbp.tensors.vec import Vec3, where
 
 @dataclass(frozen=True)
 class TwoSidedKind(Kind):
-    """A two-sided material. Values: those of the kind in front, and those of the kind behind if it differs.
+    """A two-sided BSDF. Parameter values: those of the BSDF in front, and those of the one behind if it differs.
 
-    Inside other materials only: a surface whose material is two-sided itself has a row of the material table for each side,
-    and its lanes meet one kind.
+    Used inside of other materials only: a surface whose material itself is two-sided has a row of the material table for
+    each side, and its lanes meet one BSDF.
     """
 
     front: Kind
@@ -25,7 +25,7 @@ class TwoSidedKind(Kind):
 
     @property
     def sides(self) -> tuple[Kind, ...]:
-        """The kind in front, and the one behind if it differs."""
+        """The BSDF in front, and the one behind if it differs."""
         return (self.front,) if self.back is None else (self.front, self.back)
 
     @property
@@ -77,11 +77,11 @@ class TwoSidedKind(Kind):
         return all(side.follows or not side.smooth for side in self.sides) and self.smooth
 
     def numbers(self, of_sides: list[tuple[int, ...]]) -> tuple[int, ...]:
-        """Renumbers the parameters of the sides' kinds as parameters of this one."""
+        """Renumbers the parameters of the sides' BSDFs as parameters of this one."""
         return *of_sides[0], *(self.front.slots + number for numbers in of_sides[1:] for number in numbers)
 
     def parts(self, values: Values) -> tuple[Values, ...]:
-        """Splits the values into those of each side."""
+        """Splits the parameter values into those of each side."""
         return (values,) if self.back is None else (values[:self.front.slots], values[self.front.slots:])
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:

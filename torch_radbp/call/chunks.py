@@ -20,7 +20,7 @@ BAND = 1 << 18  # pixels of a band, about
 
 
 class LaneBlock(Protocol):
-    """A block of lanes that is traced together."""
+    """The interface of a chunk: a block of lanes that is traced together."""
 
     @property
     def lanes(self) -> int:
@@ -28,11 +28,11 @@ class LaneBlock(Protocol):
 
     @property
     def group(self) -> int:
-        """Those of one number are traced side by side, one after the other number."""
+        """The number of the chunk's group: groups are traced one after the other, the chunks of one in parallel."""
 
 
 class LaneRange(NamedTuple):
-    """Lanes of no pixels, one after the other."""
+    """A chunk of consecutive lanes that belong to no pixels."""
 
     first: int
     lanes: int
@@ -48,7 +48,7 @@ class Rows(NamedTuple):
     columns: int  # pixels in each row
 
     def numbers(self, device: torch.device, columns: int | None = None) -> Tensor:
-        """(count * columns,) int32, row-major numbers of these pixels in an image of `columns` or more columns."""
+        """(count * columns,) int32, the row-major indices of these pixels in an image of `columns` or more columns."""
         row = (torch.arange(self.count, dtype=torch.int32, device=device) * self.apart + self.first)[:, None]
         column = torch.arange(self.columns, dtype=torch.int32, device=device)
         return (row * (columns or self.columns) + column).flatten()
@@ -70,14 +70,13 @@ class Chunk(NamedTuple):
 
 
 def plan_chunks(grids: Sequence[tuple[int, int]], spp: int, lanes: int, workers: int) -> list[Chunk]:
-    """Divides all pixels and samples into chunks: whole rows with all samples if they fit, else one row with some of its
-    samples.
+    """Divides all pixels and samples into chunks: whole rows with all samples if they fit, else one row with some samples.
 
     Args:
-        grids: columns and rows of pixels that have samples, of each sensor.
-        spp: samples of a pixel.
-        lanes: the most of a block, but for the samples of a row that the film takes at once.
-        workers: that the blocks are dealt out to in turn.
+        grids: for each sensor, columns and rows of pixels that have samples.
+        spp: samples per pixel.
+        lanes: the most of a chunk, except for the samples of a row that the film takes at once.
+        workers: the number of threads to which chunks are dealt in turn.
     """
     found, group, pixels = [], 0, 0
     for sensor, (columns, rows) in enumerate(grids):
@@ -103,12 +102,12 @@ def bands(columns: int, rows: int, least: int) -> Iterator[range]:
 
 
 def dealt_out(rows: int, most: int, workers: int) -> Iterator[tuple[int, int, int]]:
-    """Deals the rows of a band out to chunks in turn, so that chunks are alike: first row, number and distance.
+    """Deals the rows of a band to chunks in turn, so that chunks are alike: yields first row, number and distance of each.
 
     Args:
-        rows: how many there are.
-        most: of a chunk.
-        workers: that are to get as many chunks each, if there are rows for so many.
+        rows: the number of rows.
+        most: the most rows of a chunk.
+        workers: the threads, which get equally many chunks if there are enough rows.
     """
     workers = min(workers, -(-rows // most))
     chunks = workers * -(-rows // (most * workers))
@@ -117,7 +116,7 @@ def dealt_out(rows: int, most: int, workers: int) -> Iterator[tuple[int, int, in
 
 
 def fair_chunk(grids: Sequence[tuple[int, int]], spp: int, workers: int, about: int) -> int:
-    """A chunk size, in lanes, near a wanted one, with which all workers get equally many; args as for `plan_chunks`."""
+    """A chunk size in lanes, close to `about`, that gives all workers equally many chunks; args as for `plan_chunks`."""
     columns, rows = max(grids)
     lanes = columns * rows * spp
     chunks = max(1, round(lanes / about))  # of a sensor

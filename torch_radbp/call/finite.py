@@ -29,7 +29,7 @@ ADVICE = "keep the parameters within bounds, or try float64 (`scene.double()`) a
 
 
 class NonFiniteError(FloatingPointError):
-    """An image or a gradient is NaN or infinite; the message says which, and where that began.
+    """An image or a gradient is NaN or infinite; the message says in which bounce, material and parameter that began.
 
     Raised by a rendering, and by the backward pass through its image: it names the parameter, the bounce, the material and
     the number of paths. Neither image nor gradient is handed out, so that an optimiser's state stays finite.
@@ -40,7 +40,7 @@ def all_finite(tensors: list[Tensor], repetitions: Repetitions | None = None) ->
     """True if every value of all tensors is finite; waits for the device once.
 
     Raises:
-        TooFewRepetitions: if what was repeated has not come to its end.
+        TooFewRepetitions: if a loop on the device was not repeated to its end.
     """
     found = [least_and_greatest(tensor).double() for tensor in tensors if tensor.numel()]
     return read_together([torch.isfinite(torch.cat(found)).all()] if found else [], repetitions)
@@ -52,7 +52,7 @@ def count_of_bad(tensor: Tensor) -> str:
 
 
 class FirstNonFinite:
-    """Finds the first bounce, in the order of computation, whose numbers are not finite."""
+    """Records the first bounce, in the order of computation, whose numbers are not finite."""
 
     def __init__(self) -> None:
         self.depth: int | None = None
@@ -61,9 +61,9 @@ class FirstNonFinite:
         self.in_light = False  # the light is not finite before any surface has reflected it
 
     def look(self, depth: int, bad: Tensor, prim: Tensor, light: Tensor | None = None) -> None:
-        """Records a bounce whose lanes `bad` (N,) bool, on triangles `prim`, are not finite, unless one is recorded.
+        """Records a bounce whose lanes `bad`, (N,) bool, on triangles `prim`, are not finite, unless one is recorded.
 
-        `light`: (N,) bool, whether the light that emitters send there is finite; None: unknown.
+        `light`: (N,) bool, whether the light that arrives from emitters is finite; None: unknown.
         """
         if self.depth is None and bool(bad.any()):
             self.depth, self.lanes, self.of, self.prim = depth, int(bad.sum()), len(bad), prim[bad]
@@ -81,7 +81,7 @@ class FirstNonFinite:
 
 
 def most_frequent_surface(prim: Tensor, tensors: SceneTensors, scene: Scene | None) -> str:
-    """The material of most of some triangles, in words."""
+    """The material to which most of some triangles belong, in words."""
     prim = prim[prim >= 0]
     if scene is None or not len(prim):
         return "of which none hit a surface" if not len(prim) else "on some surface"
@@ -108,7 +108,7 @@ def owner_of(scene: Scene, parameter: str) -> str:
 
 
 def network_of(scene: Scene | None, parameter: str) -> str | None:
-    """The name of the neural texture whose module has a parameter; None: it is no module's."""
+    """The name of the network texture whose module has a parameter; None: no module has it."""
     owner = parameter.partition(".module.")[0]
     return owner if scene is not None and isinstance(dict(scene.named_modules()).get(owner), NeuralTexture) else None
 
@@ -119,7 +119,7 @@ def plain_name(parameter: str) -> str:
 
 
 def checked_stages(finding: FirstNonFinite) -> PlainStages:
-    """Stages in plain torch that record the first bounce whose terms are not finite; for one chunk."""
+    """Stages in plain torch that record the first bounce whose terms are not finite in `finding`; for one chunk."""
     depth, counter = -1, None
 
     def checked(stage: Callable, terms_of: Callable) -> Callable:
@@ -140,7 +140,7 @@ def checked_stages(finding: FirstNonFinite) -> PlainStages:
 
 
 def light_is_finite(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, *rest) -> Tensor:
-    """(N,) bool: lanes of a bounce that receive finite light from emitters, before any surface reflects it."""
+    """(N,) bool: lanes at which emitted light arrives with finite values, before any surface reflects it."""
     terms = scene.layout.vertex.terms(scene, proposal, rows(arrival, lanes), *rest)
     sent = (*terms.Le, *(() if terms.light is None else terms.light.radiance))
     return torch.isfinite(torch.stack(sent)).all(0)
@@ -153,8 +153,8 @@ def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
     Args:
         images: (B, 3, H, W).
         integrand: detached.
-        scene: gives names; None: there are none.
-        trace_again: traces all chunks in turn until the finding has found something.
+        scene: gives names for the message; None: without names.
+        trace_again: traces chunks until the `FirstNonFinite` has a record.
     """
     finding = FirstNonFinite()
     trace_again(integrand, finding)
@@ -164,14 +164,14 @@ def image_error(images: Tensor, integrand: Integrand, scene: Scene | None,
 
 def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene: Scene | None,
                    parameters: dict[str, Tensor], sweep_again: Callable[[FirstNonFinite], None]) -> NonFiniteError:
-    """The error about a gradient that is not finite; paths are swept again to find out why.
+    """The error about a gradient that is not finite; the backward pass is repeated to find out why.
 
     Args:
-        bad: leaves of the scene's tensors with their gradients, of which some numbers are not finite.
+        bad: tensors of the scene with their gradients, which are not finite.
         integrand: detached.
-        scene: gives names; None: there are none.
-        parameters: by name, those that derivatives are wanted of, attached to the leaves.
-        sweep_again: sweeps all chunks in turn until the finding has found something.
+        scene: gives names for the message; None: without names.
+        parameters: by name, those that are differentiated, from which the tensors were computed.
+        sweep_again: differentiates chunks until the `FirstNonFinite` has a record.
     """
     finding = FirstNonFinite()
     sweep_again(finding)
@@ -190,7 +190,7 @@ def gradient_error(bad: list[tuple[Tensor, Tensor]], integrand: Integrand, scene
 
 
 def parameters_behind(bad: list[tuple[Tensor, Tensor]], parameters: dict[str, Tensor]) -> list[str]:
-    """The names of parameters from which entries with bad gradients were computed."""
+    """The names of the parameters on which tensor entries with non-finite gradients depend."""
     names = []
     with torch.enable_grad():
         marked = [(leaf, (~torch.isfinite(gradient)).to(leaf.dtype)) for leaf, gradient in bad if leaf.grad_fn is not None]

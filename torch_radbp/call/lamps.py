@@ -30,7 +30,7 @@ MOST_TARGETS = 8  # spheres; code grows with them
 
 @dataclass(frozen=True)
 class Lamps(PathSource):
-    """The lights of a scene: each lane begins with a ray of one."""
+    """The lights of a scene as the source of paths: each lane begins with a ray that a light emits."""
 
     lamps: LampTensors
     keys: tuple[SampleKey, SampleKey]  # of the image, and of its derivative
@@ -63,7 +63,7 @@ class Lamps(PathSource):
 
     @property
     def ray(self) -> Ray:
-        """(1,) one of the rays: attached if they are, and not only their power."""
+        """One ray of a lamp, (1,): attached if rays, and not only their power, have derivatives."""
         if not any_differentiated(self.lamps):
             nothing = Vec3.buffer(self.lamps.world.clearance[None])
             return Ray(nothing, nothing)
@@ -71,10 +71,10 @@ class Lamps(PathSource):
 
 
 def lamps_as_source(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], light_paths: str) -> Lamps:
-    """The lights of a packed scene as a source; unless paths bring "all" light, without the surroundings.
+    """The lights of a packed scene as a source of paths; without the environment, unless `light_paths` is "all".
 
     Raises:
-        ValueError: if a lamp's light is a network's, which is asked where surfaces are.
+        ValueError: if a lamp has a network texture, which can be evaluated at hit points only.
     """
     if scene.layout.lit:
         raise ValueError("paths cannot begin at lamps whose light is that of a network; give these a texture, or render "
@@ -88,7 +88,7 @@ def lamps_as_source(scene: SceneTensors, keys: tuple[SampleKey, SampleKey], ligh
 
 
 def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
-    """What the rays of lamps are wanted for: of caustics to meet surfaces with ideal lobes."""
+    """The bounding spheres that rays of lamps must hit: of the scene, and, for caustics, of surfaces with ideal lobes."""
     points = scene.triangles.vertices.p.map(torch.Tensor.detach)
     instances = scene.triangles.casting_instances
     if instances is not None:
@@ -102,7 +102,7 @@ def surrounding(scene: SceneTensors, light_paths: str) -> Surrounding:
 
 
 def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
-    """Spheres around the surfaces of each material with ideal lobes, or one around all of many; none: there is none."""
+    """Bounding spheres of the surfaces of each material with ideal lobes, or one around all if there are many."""
     triangles, some = scene.triangles, narrow_triangles(scene)
     material = triangles.material[some].long()
     met, group = material.unique(return_inverse=True)
@@ -123,7 +123,7 @@ def ideal_surfaces(scene: SceneTensors) -> tuple[BoundingSphere, ...]:
 
 
 def narrow_triangles(scene: SceneTensors) -> Tensor:
-    """(T,) bool: triangles of materials that scatter narrowly, if not invisible, by ideal lobes or all of them."""
+    """(T,) bool: triangles whose material has an ideal lobe, invisible ones aside, or a small roughness throughout."""
     materials = scene.materials
     ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
     of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
@@ -132,6 +132,6 @@ def narrow_triangles(scene: SceneTensors) -> Tensor:
 
 
 def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:
-    """The sphere around a box, () each."""
+    """The bounding sphere of a box, () each, slightly enlarged."""
     size = high - low
     return BoundingSphere((low + high) * 0.5, (0.5 * MARGIN * torch.sqrt(dot(size, size))).clamp_min(LEAST_RADIUS))

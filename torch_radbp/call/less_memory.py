@@ -17,10 +17,10 @@ Result = TypeVar("Result")
 
 
 def again_in_pieces(call: RenderCall, work: Callable[[RenderCall], Result]) -> Result:
-    """`work(call)`; if the device's memory is gone, that of the same call in wavefronts of a quarter of the lanes.
+    """The result of `work(call)`; if device memory runs out, that of the same call in wavefronts of a quarter of the lanes.
 
     Raises:
-        torch.OutOfMemoryError: if that is too much as well, or the wavefronts cannot be smaller.
+        torch.OutOfMemoryError: if memory runs out again, or the wavefronts cannot be smaller.
     """
     try:
         return work(call)
@@ -38,7 +38,7 @@ def again_in_pieces(call: RenderCall, work: Callable[[RenderCall], Result]) -> R
 
 
 def in_halves(wavefronts: Sequence[Wavefront]) -> list[Wavefront]:
-    """Wavefronts of half as many lanes, in the same order: of half of the chunks, or of halves of a single one."""
+    """Splits each wavefront into two, in the same order: its chunks, or a single chunk itself."""
     found = []
     for wavefront in wavefronts:
         chunks, half = wavefront.chunks, len(wavefront.chunks) // 2
@@ -48,7 +48,7 @@ def in_halves(wavefronts: Sequence[Wavefront]) -> list[Wavefront]:
 
 
 def halves_of(chunk: LaneBlock) -> Iterator[LaneBlock]:
-    """The halves of a chunk: every other row, or half of the samples of one row; the chunk itself if it has only a few."""
+    """Yields the halves of a chunk: every other row, or half of the samples of one row; small chunks stay whole."""
     if isinstance(chunk, LaneRange) and chunk.lanes > 1:
         half = chunk.lanes // 2
         yield from (chunk._replace(lanes=half), chunk._replace(first=chunk.first + half, lanes=chunk.lanes - half))

@@ -16,7 +16,7 @@ from torch_radbp.call.pixels import IMAGE_COPIES
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import Sink, SinkValues, Work
 from torch_radbp.call.wavefronts import Wavefront
-from torch_radbp.connection.camera import asked_by
+from torch_radbp.connection.camera import with_pixel_adjoints
 from torch_radbp.film.position import FilmTensors
 from torch_radbp.jit.order import chosen
 from torch_radbp.jit.patches import CHANNELS, Patches, add_patches
@@ -37,12 +37,12 @@ PIECE = 1 << 14  # lanes that are deposited at once, so that what they count in 
 
 @dataclass(frozen=True)
 class LightFilm(Sink):
-    """The window of one camera's film.
+    """The window of one camera's film as the sink of paths from lamps.
 
     Args:
-        film: of the camera, without derivatives.
+        film: the film's tensors, without derivatives.
         shape: height and width of the window.
-        paths: how many there are.
+        paths: the number of paths.
     """
 
     film: FilmTensors
@@ -74,8 +74,8 @@ class LightFilm(Sink):
         with_margin = torch.nn.functional.pad(gradient[0] / self.paths, (self.film.margin,) * 4)
         return interleaved(Vec3(*with_margin.flatten(1)))
 
-    def asked(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
-        scene = asked_by(integrand.scene, adj_sums)
+    def backward_integrand(self, integrand: Integrand, adj_sums: Vec3) -> Integrand:
+        scene = with_pixel_adjoints(integrand.scene, adj_sums)
         return integrand._replace(scene=scene, proposal=scene, parts={})
 
     def bytes_held(self, call: RenderCall) -> int:
@@ -87,7 +87,7 @@ class LightFilm(Sink):
         return call.workers * of_worker + IMAGE_COPIES * 3 * with_margin * number
 
     def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
-        return self.asked(integrand, self.adj_sums(call, self.film.size_x.new_ones(1, 3, *self.shape), None))
+        return self.backward_integrand(integrand, self.adj_sums(call, self.film.size_x.new_ones(1, 3, *self.shape), None))
 
     def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Vec3) -> Vec3:
         one = torch.ones(wavefront.lanes, dtype=adj_sums.x.dtype, device=adj_sums.x.device)
@@ -95,7 +95,7 @@ class LightFilm(Sink):
 
 
 class Deposits:
-    """What some paths have brought to a film.
+    """The sums of what the vertices of paths from lamps contribute to a film.
 
     Args:
         film, shape: as of `LightFilm`.
@@ -109,7 +109,7 @@ class Deposits:
         self.totals = torch.zeros(rows, columns, CHANNELS, dtype=torch.float64, device=film.size_x.device)
 
     def add(self, brought: BroughtToFilm) -> None:
-        """Adds what vertices bring, (N,)."""
+        """Adds the contributions of N vertices."""
         if any_differentiated(brought) or inside_dual_level():
             pixels = self.shape[0] * self.shape[1]
             self.attached = self.totals.new_zeros(3, pixels) if self.attached is None else self.attached
@@ -123,7 +123,7 @@ class Deposits:
             add_patches(self.stages(patches)(self.film, brought, some), self.totals)
 
     def total(self) -> Tensor:
-        """(3, pixels) float64, attached."""
+        """The sums, (3, pixels) float64, attached."""
         (rows, columns), margin = self.shape, self.film.margin
         total = self.totals[margin:margin + rows, margin:margin + columns, :3].permute(2, 0, 1).flatten(1)
         return total if self.attached is None else total + self.attached
@@ -131,18 +131,18 @@ class Deposits:
 
 @stage()
 def brings(value: Vec3) -> Tensor:
-    """(N,) bool: values are not 0."""
+    """(N,) bool: contributions that are not 0."""
     return (value.x != 0) | (value.y != 0) | (value.z != 0)
 
 
 @stage("film", "brought")
 def patches(film: FilmTensors, brought: BroughtToFilm, lanes: Tensor) -> Patches:
-    """The pixels around places, and what values count there.
+    """The pixels around film positions, and what contributions count in each.
 
     Args:
-        film: without border.
-        brought: by all vertices.
-        lanes: (N,) int32, those of them that are meant.
+        film: the film with its margin, without border.
+        brought: the contributions of all vertices.
+        lanes: (N,) int32, the vertices to use.
     """
     value, place = rows(brought, lanes)
     first, down, across = film.patch(place)

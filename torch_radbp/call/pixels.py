@@ -22,7 +22,7 @@ IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums 
 
 
 class Films(Sink):
-    """The films of the views of a call: each pixel is the mean of the samples around it, by the reconstruction filter.
+    """The films of a call's views as the sink of camera paths: a pixel is the filter-weighted mean of samples around it.
 
     `SinkValues.values` are images (B, C, H, W), and `SinkValues.filters`, (B, H, W), the sums of the filter over samples.
     """
@@ -45,7 +45,7 @@ class Films(Sink):
         return SinkValues(torch.stack(pixels), torch.stack(filters), results)
 
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> list[Vec3]:
-        """For each view the derivative of the loss with respect to what samples add to the sums of pixels."""
+        """For each view the derivative of the loss by the pixels' sums, to which samples add."""
         filters = filters_of(call, 1) if filters is None else filters
         return [Vec3(*view.grid.quotient(own, sums).flatten(1))
                 for view, own, sums in zip(call.views, self.radiance(gradient), filters)]
@@ -62,18 +62,18 @@ class Films(Sink):
 
 
 def sums_of_wavefront(call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor], place: Vec2) -> list[Tensor]:
-    """Splats the values of a wavefront's lanes: for each of its chunks the filter-weighted sums that `Films.gather` takes.
+    """Splats the values of a wavefront's lanes: for each chunk the filter-weighted sums of its pixels.
 
     Args:
-        values: C of (N,), of the lanes.
-        place: (N,) of the lanes in their pixels.
+        values: C tensors (N,), the channels of the lanes.
+        place: (N,) positions of the lanes in their pixels.
     """
     return [deposit_of_chunk(call, chunk, [value[first:last] for value in values], rows_between(place, first, last))
             for chunk, first, last in wavefront.parts()]
 
 
 def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], place: Vec2) -> Tensor:
-    """Splats the values of one chunk's lanes; args as for `sums_of_wavefront`."""
+    """The filter-weighted sums of the values of one chunk's lanes; args as for `sums_of_wavefront`."""
     grid, block, stage = call.views[chunk.sensor].grid, Block(place, chunk.samples, call.spp), call.stages(deposited)
     if chunk.samples == call.spp:
         return row_sums(stage, grid, tuple(values), block)
@@ -81,7 +81,7 @@ def deposit_of_chunk(call: RenderCall, chunk: Chunk, values: Sequence[Tensor], p
 
 
 def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> Tensor:
-    """Joins the sums of a band's chunks to (R, 1 + C, n, columns) for its n rows."""
+    """Joins the filter-weighted sums of a band's chunks to (R, 1 + C, n, columns) for the n rows of the band."""
     total = None
     for part, own in groupby(parts, lambda part: part[0].rows):
         found = [sums for _, sums in own]
@@ -95,12 +95,12 @@ def put_together(grid: Grid, band: range, parts: list[tuple[Chunk, Tensor]]) -> 
 
 
 def film_places(call: RenderCall, wavefront: Wavefront, which: int) -> Vec2:
-    """Where in their pixels a wavefront's lanes lie, (N,) in [0, 1); `which`: of the image, 0, or of its derivative, 1."""
+    """The lanes' positions in their pixels, (N,) in [0, 1); `which`: 0 for the image, 1 for its derivative."""
     return joined([call.source.places(chunk, which, call.stages) for chunk in wavefront.chunks])
 
 
 def filters_of(call: RenderCall, which: int) -> Tensor:
-    """(B, H, W) as in `SinkValues`, of the samples of the image (0) or of its derivative (1)."""
+    """The sums of the filter over samples, (B, H, W), of the image (`which` 0) or of its derivative (1)."""
     if all(view.grid.kernel.flat for view in call.views):
         view = call.views[0]
         return torch.full((len(call.views), view.height, view.width), float(call.spp), dtype=call.scene.dtype,
@@ -113,7 +113,7 @@ def filters_of(call: RenderCall, which: int) -> Tensor:
 
 
 def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) -> Vec3:
-    """As `Films.adjoint`, of one chunk and its lanes, with the derivatives of its view's pixels."""
+    """The derivative of the loss by L_1 of one chunk's lanes, (N,), from those by the pixels of its view."""
     grid = call.views[chunk.sensor].grid
     width = grid.columns + 2 * grid.kernel.reach
     entry = chunk.rows.numbers(call.scene.device, width)
@@ -125,5 +125,5 @@ def adjoint_of_chunk(call: RenderCall, chunk: Chunk, place: Vec2, pixels: Vec3) 
 
 
 def weighted(L: Vec3, weight: Tensor | None) -> Vec3:
-    """Radiance, or its adjoint, times the lanes' camera weights, if there are any."""
+    """Radiance, or its adjoint, times camera weights (N,), if there are any."""
     return L if weight is None else L * weight

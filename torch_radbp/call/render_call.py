@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 
 class RenderCall(NamedTuple):
-    """All that one rendering needs beside the scene's leaves."""
+    """One rendering: everything that tracing and differentiating its paths needs beside the scene's tensors."""
 
     scene: SceneTensors
     caster: RayCaster | None  # of its triangles; None, as the next field, while the integrand is made
@@ -61,47 +61,47 @@ class RenderCall(NamedTuple):
     camera_share: RenderCall | None = None
 
     def still(self) -> RenderCall:
-        """The call without derivatives."""
+        """The same call without derivatives."""
         return self._replace(scene=self.still_scene, source=self.source.still())
 
     def facts(self) -> Facts:
-        """All that images of the call, and the places at which they jump, depend on, without derivatives; see `once`."""
+        """All that the call's images and the places of their discontinuities depend on, without derivatives; see `once`."""
         still, integrand = self.still(), self.integrand
         return Facts.of((still.scene, still.views, integrand.settings, integrand.max_depth, integrand.rr_depth, self.spp,
                          self.shares_samples, self.shared, self.following))
 
     @property
     def views(self) -> list[View]:
-        """Those whose cameras paths begin at."""
+        """The views at whose cameras paths begin."""
         return self.source.views
 
     @property
     def can_begin_at_lamps(self) -> bool:
-        """True if all cameras can end paths, and all lamps begin them."""
+        """True if paths can begin at all lamps and be connected to all cameras."""
         return not self.scene.layout.lit and all(view.camera.kind.sees_points for view in self.views)
 
     @property
     def can_follow_to_the_film(self) -> bool:
-        """True if such paths have derivatives by where they end on the films, which box filters do not see."""
+        """True if paths from lamps also have derivatives by their positions on the films, which box filters do not have."""
         return self.can_begin_at_lamps and not any(view.camera.film.kernel.flat for view in self.views)
 
     def with_views(self, views: list[View]) -> RenderCall:
-        """The call of other views."""
+        """The same call for other views."""
         return self._replace(source=Cameras(views))
 
     @property
     def still_scene(self) -> SceneTensors:
-        """The detached scene."""
+        """The scene without derivatives."""
         return detached(self.scene) if self.integrand is None else self.integrand.scene
 
     def of_derivative(self) -> RenderCall:
-        """The call whose image has the samples of the derivative."""
+        """The call that renders the image from the samples of the derivative."""
         make = self.make_integrand if self.shares_samples else lambda scene: self.make_integrand(scene).for_derivatives()
         return self._replace(source=self.source.of_derivative(), make_integrand=make)
 
 
 def started(call: RenderCall, sample: CameraSample) -> PathState:
-    """The paths that begin with some rays."""
+    """The path states at the start of some rays."""
     layout = call.scene.layout
     medium = (-1 if layout.around is None else layout.around) if layout.traces_segments else None
     return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power,
@@ -109,41 +109,41 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:
-    """The paths of a wavefront, lane by lane; `which`: those of the image, 0, or of its derivative, 1."""
+    """The initial states of a wavefront's paths; `which`: 0 for those of the image, 1 for those of its derivative."""
     return started(call, camera_samples(call, wavefront, which))
 
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
-    """The rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
+    """The first rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
     return joined(samples_of_chunks(call, wavefront, which))
 
 
 def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> list[CameraSample]:
-    """As `camera_samples`, chunk by chunk."""
+    """The first rays of a wavefront's lanes, chunk by chunk; args as for `camera_samples`."""
     return [call.source.samples(chunk, which, call.stages, call.scene.layout.traces_cones) for chunk in wavefront.chunks]
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
-    """Paths spread over the source, such as the image of the first sensor, for measurements."""
+    """The initial states of paths from all over the source, such as the first sensor's image, for measurements."""
     return started(call, call.source.pilots(lanes, call.stages, call.scene.layout.traces_cones))
 
 
 def integrand_of(call: RenderCall, integrand: Integrand, number: int) -> Integrand:
-    """The integrand with the camera of the view of this number."""
+    """The integrand for the camera of view `number`, with its far plane."""
     view = call.views[number]
     return integrand._replace(clipping=view.camera if view.clips else None)
 
 
 def integrand_of_wavefront(call: RenderCall, integrand: Integrand, wavefront: Wavefront, which: int = 0) -> Integrand:
-    """The integrand as the lanes of a wavefront see it; where a far plane cuts the scene these are of one camera.
+    """The integrand for the lanes of a wavefront; where a far plane cuts the scene all have the same camera.
 
     Args:
-        which: samples of the image, 0, or of its derivative, 1, which may be the same.
+        which: 0 for samples of the image, 1 for those of its derivative, which may be the same.
     """
     integrand = integrand.for_derivatives() if which and not call.shares_samples else integrand
     return integrand._replace(clipping=call.source.clipping(wavefront.chunks[0]))
 
 
 def of_wavefronts(call: RenderCall, wavefronts: list[Wavefront], work: Callable[[Wavefront], Result]) -> list[Result]:
-    """Runs `work` on wavefronts in several threads; results in order."""
+    """Runs `work` on wavefronts in several threads; returns the results in order."""
     return by_number(in_turns(len(wavefronts), call.workers, lambda share: [work(wavefronts[index]) for index in share]))

@@ -24,7 +24,7 @@ Work = Callable[["Wavefront"], tuple[list[Tensor], Any]]  # of each wavefront wh
 
 
 class SinkValues(NamedTuple):
-    """What a sink has of all lanes."""
+    """The values that a sink has collected from all lanes, such as images."""
 
     values: Tensor  # such as images
     filters: Tensor | None  # by which sums were divided; None: by nothing
@@ -32,58 +32,58 @@ class SinkValues(NamedTuple):
 
 
 class Sink(ABC):
-    """Where radiance goes; linear in it."""
+    """The interface of what collects the radiance of paths, such as films; it is linear in the radiance."""
 
     at_vertices: ClassVar[bool] = False  # paths, from lamps, bring something at each vertex: see `deposits`
 
     def deposits(self, call: RenderCall) -> Any:
-        """What takes in what the vertices of a wavefront bring: with `add` and `total`."""
+        """An accumulator of what vertices of paths from lamps contribute, with methods `add` and `total`."""
         raise TypeError(f"to a {type(self).__name__} paths bring their radiance")
 
-    def asked(self, integrand: Integrand, adj_sums: Any) -> Integrand:
-        """The integrand as the backward pass differentiates it, which may depend on what `adjoint` reads."""
+    def backward_integrand(self, integrand: Integrand, adj_sums: Any) -> Integrand:
+        """The integrand that the backward pass differentiates, which may contain the derivatives `adj_sums`."""
         return integrand
 
     def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
-        """`asked` where the derivative of the loss is 1 for all values, for predictions of memory."""
+        """The `backward_integrand` for a derivative of the loss of 1 everywhere, for predictions of memory."""
         return integrand
 
     @abstractmethod
     def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
                 samples: CameraSample) -> list[Tensor]:
-        """What the lanes of a wavefront bring, for each of its chunks.
+        """The contributions of a wavefront's lanes, summed for each of its chunks.
 
         Args:
-            values: C of (N,), of the lanes: linear RGB radiance, and the quantities of the call.
-            samples: with which their paths begin.
+            values: C tensors (N,), the channels of the lanes: linear RGB radiance, and AOVs.
+            samples: the first rays of the lanes.
         """
 
     @abstractmethod
     def gather(self, call: RenderCall, work: Work) -> SinkValues:
-        """All that comes in; `work` is to be done for each wavefront of the call (`of_wavefronts`)."""
+        """The values of all wavefronts of the call, for each of which `work` is called (`of_wavefronts`)."""
 
     @abstractmethod
     def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Any:
-        """Derivative of the loss with respect to what `deposit` gives, which `adjoint` reads; made once.
+        """The derivative of the loss by what `deposit` returns, for use by `adjoint`; computed once.
 
         Args:
             gradient: derivative of the loss with respect to `SinkValues.values`.
-            filters: of the forward pass, if the derivative has its samples; else None.
+            filters: of the forward pass, if the derivative has the same samples; else None.
         """
 
     @abstractmethod
     def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Any) -> Vec3:
-        """Derivative of the loss with respect to what counts of L_1 of each lane, (N,): the transpose of `deposit`.
+        """The derivative of the loss by L_1 of each lane of a wavefront, (N,): the transpose of `deposit`.
 
         Args:
-            place: of the lanes in their pixels; None: they are of no pixels.
-            adj_sums: of `adj_sums`.
+            place: (N,) positions of the lanes in their pixels; None: they belong to no pixels.
+            adj_sums: the result of `adj_sums`.
         """
 
     def bytes_held(self, call: RenderCall) -> int:
-        """The bytes of all sums, of the values and of their derivatives, at the most, for predictions of memory."""
+        """The greatest memory in bytes for sums, values and their derivatives, for predictions."""
         raise TypeError(f"the memory of a {type(self).__name__} is not predicted")
 
     def radiance(self, values: Tensor) -> Tensor:
-        """The part of `SinkValues.values` that has a derivative by radiance."""
+        """The part of `SinkValues.values` that is differentiable by radiance: images without AOVs."""
         return values

@@ -30,26 +30,26 @@ FEW = 1 << 16  # lanes whose numbers are kept for the next call
 
 
 class PathSource(ABC):
-    """Where paths begin. Its random numbers are of two kinds: those of the image, 0, and those of its derivative, 1."""
+    """The interface of where paths begin. Random numbers are of two kinds: 0 for the image, 1 for its derivative."""
 
     @property
     @abstractmethod
     def tensors(self) -> Any:
-        """What the rays depend on: a record of tensors, attached."""
+        """The record of tensors on which the rays depend, attached."""
 
     @abstractmethod
     def with_tensors(self, tensors: Any) -> PathSource:
-        """The same source of other tensors; their tables are read by `lookup`."""
+        """The same source with other tensors, whose tables are read by `lookup`."""
 
     @abstractmethod
     def samples(self, chunk: LaneBlock, which: int, stages: Stages, cones: bool) -> CameraSample:
-        """The rays with which the paths of a chunk begin, (chunk.lanes,), attached to the tensors.
+        """The first rays of a chunk's paths, (chunk.lanes,), attached to `tensors`.
 
         Args:
-            chunk: of the call's wavefronts.
-            which: the kind of random numbers.
-            stages: what runs the functions of lanes.
-            cones: whether textures ask for them.
+            chunk: one of the call's wavefronts' chunks.
+            which: the kind of random numbers, 0 or 1.
+            stages: runs the stages.
+            cones: whether rays get ray cones.
         """
 
     @abstractmethod
@@ -57,29 +57,29 @@ class PathSource(ABC):
         """The source whose image has the random numbers of the derivative."""
 
     def glued(self, chunk: LaneBlock, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
-        """`samples` whose rays follow what they meet, if they may; attached to that, too. Not compiled.
+        """First rays as of `samples`, but following what they hit, if their kind does, and attached to that; eager.
 
         Args:
-            scene: attached.
-            hit: (chunk.lanes,) what they meet.
+            scene: the scene, attached.
+            hit: (chunk.lanes,) what the rays hit.
         """
         return self.samples(chunk, which, EAGER, scene.layout.traces_cones)
 
     @property
     def columns(self) -> int:
-        """The number of lanes in one sample of a row of pixels; 1: they are of no pixels."""
+        """The number of lanes in one sample of a row of pixels; 1: lanes belong to no pixels."""
         return 1
 
     def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
-        """Some rays, (lanes,), from all over the source, for predictions of memory; args as of `samples`."""
+        """Some first rays from all over the source, (lanes,), for predictions of memory; args as of `samples`."""
         raise TypeError(f"the memory of paths from {type(self).__name__} is not predicted")
 
     def leaves_read(self, chunk: LaneBlock) -> range:
-        """Which leaves of `tensors` the rays of a chunk depend on, as `leaves_of` counts them."""
+        """The indices of the tensors on which the rays of a chunk depend, as `leaves_of(tensors)` counts them."""
         return range(len(leaves_of(self.tensors)))
 
     def clipping(self, chunk: LaneBlock) -> Camera | None:
-        """The camera whose far plane ends the rays of a chunk; None: nothing does."""
+        """The camera whose far plane ends the rays of a chunk; None: there is none."""
         return None
 
     def still(self) -> PathSource:
@@ -93,7 +93,7 @@ class PathSource(ABC):
 
 @dataclass(frozen=True)
 class Cameras(PathSource):
-    """The cameras of the views of a call: each lane begins at a sample of a pixel."""
+    """The cameras of a call's views as the source of paths: each lane begins at a sample of a pixel."""
 
     views: list[View]
 
@@ -120,12 +120,12 @@ class Cameras(PathSource):
         return stages(sample_camera)(view.camera, view.orders[0], number, sample, view.sample_keys[0], cones)
 
     def places(self, chunk: Chunk, which: int, stages: Stages) -> Vec2:
-        """Where in their pixels the lanes of a chunk lie, (N,) in [0, 1)."""
+        """The positions of a chunk's lanes in their pixels, (N,) in [0, 1)."""
         view = self.views[chunk.sensor]
         return stages(film_place)(view.camera.film.size_x, view.orders[which], *self.numbers(chunk), view.sample_keys[which])
 
     def numbers(self, chunk: Chunk) -> tuple[Tensor, Tensor]:
-        """The numbers of the lanes' pixels, pixel by pixel, and those of their samples; (N,) int32."""
+        """For each lane of a chunk the number of its pixel and of its sample, (N,) int32 each; pixel by pixel."""
         view, find = self.views[chunk.sensor], lane_numbers if chunk.lanes > FEW else known_lane_numbers
         return find(chunk.rows, chunk.first_sample, chunk.samples, view.window, view.camera.film.size_x.device)
 
@@ -143,7 +143,7 @@ class Cameras(PathSource):
 
 
 def lane_numbers(rows: Rows, first_sample: int, samples: int, window: Window, device: torch.device) -> tuple[Tensor, Tensor]:
-    """`Cameras.numbers` of some samples of some rows of a window."""
+    """The pixel and sample numbers, as of `Cameras.numbers`, of some samples of some rows of a window."""
     with torch.inference_mode(False):  # they may be kept, for renderings that are differentiated
         pixel = rows.numbers(device, window.numbered) + window.numbers(0, 0)
         sample = torch.arange(samples, dtype=torch.int32, device=device) + first_sample

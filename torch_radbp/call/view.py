@@ -24,7 +24,7 @@ OF_NO_SENSOR = -1  # the index of a sensor that is none of the scene's
 
 
 class View(NamedTuple):
-    """One sensor of a call, with its window and random number keys."""
+    """One sensor of a call with its camera, window and random number keys."""
 
     sensor: Sensor
     camera: Camera  # attached
@@ -44,7 +44,7 @@ class View(NamedTuple):
 
     @property
     def apart(self) -> FilmOrder:
-        """A film order with a separate sequence for each pixel, for paths that start anywhere."""
+        """A film order that gives each pixel a separate random sequence, for paths that start anywhere."""
         return film_order(self.window.numbered, APART, self.camera.film.size_x.device)
 
     @property
@@ -66,8 +66,8 @@ def view_of(shot: Shot, seeds: tuple[int, int], own: bool, spp: int, scene: Scen
 
     The gradient of a squared error sums products of the noise of the image and that of the derivative over pixels. If both
     were found in the same high frequencies, that sum would be noisier than that of independent pixels. So a derivative's own
-    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: it has
-    such; else it has those that an image of its seed has.
+    samples are as good as independent within `BLOCK` x `BLOCK` pixels, and fill gaps from block to block. `own`: the
+    derivative has samples of its own; else those of an image with its seed.
     """
     sensor, sampler = shot.sensor, shot.sensor.sampler
     reach = cache.inventory(sensor).reach((sensor,))
@@ -94,7 +94,7 @@ def _tensors_of(sensor: Sensor) -> Camera:
 
 
 def reaches_beyond(cache: PackCache, vertices: Vec3, instances: Instances | None, camera: Camera, last: bool) -> bool:
-    """True if any vertex, (V,), or corner of an instance's box lies beyond the camera's far plane, as `last` in the last
+    """True if any vertex or corner of an instance's box lies beyond the camera's far plane. `last`: the result of the last
     rendering."""
     points = vertices.detach()
     if instances is not None:

@@ -14,7 +14,7 @@ from torch_radbp.call.chunks import LEAST_LANES, Chunk, LaneBlock
 
 
 class Wavefront(NamedTuple):
-    """Chunks that are traced together, their lanes one after the other."""
+    """Chunks whose lanes are traced together, one chunk after the other."""
 
     chunks: tuple[LaneBlock, ...]
 
@@ -24,11 +24,11 @@ class Wavefront(NamedTuple):
 
     @property
     def group(self) -> int:
-        """The group of bands that the wavefront belongs to."""
+        """The group of its chunks, see `LaneBlock.group`."""
         return self.chunks[0].group
 
     def parts(self) -> Iterator[tuple[LaneBlock, int, int]]:
-        """Each chunk with its first lane, and the one after its last."""
+        """Yields each chunk with the index of its first lane and that after its last."""
         first = 0
         for chunk in self.chunks:
             yield chunk, first, first + chunk.lanes
@@ -37,13 +37,13 @@ class Wavefront(NamedTuple):
 
 def plan_wavefronts(chunks: Sequence[Chunk], alike: Callable[[Chunk], Hashable], lanes: int,
                     workers: int) -> list[Wavefront]:
-    """Joins successive chunks to as few wavefronts as possible, but one for each worker that is worth it.
+    """Joins successive chunks to as few wavefronts as possible, but at least one per worker if there is enough work.
 
     Args:
         chunks: of a call.
-        alike: the same for chunks that may be traced together; None: this one may not.
-        lanes: the most of a wavefront, but for a single chunk.
-        workers: that the wavefronts are dealt out to in turn.
+        alike: returns equal values for chunks that may be traced together; None: for one that may not.
+        lanes: the most lanes of a wavefront, except for a single chunk.
+        workers: the number of threads to which wavefronts are dealt in turn.
     """
     found = []
     for (_, joins), members in groupby(chunks, lambda chunk: (chunk.group, alike(chunk))):

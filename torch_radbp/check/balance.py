@@ -28,14 +28,14 @@ LEEWAY = 0.02  # of energy, for parts of models that are fitted, such as Beckman
 
 
 def claims(kind: Kind | CheckedKind, name: str) -> bool:
-    """True if a kind, and all kinds nested in it, declare the property `reciprocal` or `conserves`."""
+    """True if a BSDF and all nested in it declare the property `name`, `reciprocal` or `conserves`."""
     kind = kind.kind if isinstance(kind, CheckedKind) else kind
     held = [getattr(kind, field.name) for field in dataclasses.fields(kind)]
     return bool(getattr(kind, name)) and all(claims(part, name) for part in held if isinstance(part, Kind))
 
 
 class Balance(NamedTuple):
-    """The comparison of a BSDF in both directions of light."""
+    """The comparison of a BSDF for pairs of directions with itself for the reversed pairs."""
 
     asymmetry: float  # largest relative difference of pairs; for pairs that cross, after division by the squared index
     squared_index: float  # of refraction, inside relative to outside
@@ -43,9 +43,9 @@ class Balance(NamedTuple):
 
 
 def compared(one_way: Tensor, other_way: Tensor, crossing: Tensor, root: bool) -> Balance:
-    """Compares scattering from a to b with that from b to a, (N, 3) each; a is outside where they cross, (N,) bool.
+    """Compares the BSDF from a to b with that from b to a, (N, 3) each; a is outside where the pair crosses, (N,) bool.
 
-    `root`: the quotient is that of both indices to the fourth power, as of light through delta lobes.
+    `root`: the quotient of crossing pairs is the index of refraction to the fourth power, as for delta lobes, not squared.
     """
     forth, back = one_way[crossing].flatten(), other_way[crossing].flatten()
     quotient = float((forth * back).sum() / (forth * forth).sum()) if bool((forth > 0).any()) else 1.0
@@ -88,13 +88,13 @@ def ideal_weight(kind: CheckedKind | Kind, values: Values, wi: Vec3, wo: Vec3, r
 
 
 def balances(subject: Subject, count: int, seed: int) -> list[Balance]:
-    """The reciprocity tests of smooth and of delta lobes, as far as the material has them."""
+    """Tests the reciprocity of a material's smooth lobes and of its delta lobes, if it has any."""
     return [*([smooth_balance(subject, count, seed)] if subject.kind.smooth else []),
             *([delta_balance(subject, count, seed)] if subject.kind.delta else [])]
 
 
 def reciprocity(balances: list[Balance], claimed: bool) -> Finding:
-    """The finding on reciprocity; for kinds that do not declare it only the figures."""
+    """The finding on reciprocity; if the material does not claim to be reciprocal, only figures without a verdict."""
     off, pairs = max(balance.asymmetry for balance in balances), sum(balance.pairs for balance in balances)
     figures = f"f(wi, wo) and f(wo, wi) differ by up to {off:.2g} of {pairs} pairs"
     return Finding("reciprocity", off <= SAME or not claimed, figures if claimed else f"not claimed; {figures}")

@@ -56,7 +56,7 @@ class Lit(NamedTuple):
 
 
 class SeenLight(NamedTuple):
-    """The light along rays, (N,)."""
+    """The radiance of a light along rays, and its density for MIS weights, (N,)."""
 
     radiance: Vec3
     weighing: Tensor  # density of light samples for MIS weights
@@ -122,7 +122,7 @@ def scene_of(emitter: Light) -> Scene:
 
 
 def light_from(lit: Lit, place: tuple[float, float, float], count: int, seed: int) -> LightSample:
-    """Light samples for one point."""
+    """Samples the light by next-event estimation as seen from one point, many times."""
     generator = torch.Generator().manual_seed(seed)
     bits = LightNumbers(*torch.randint(-(1 << 31), 1 << 31, (4, count), generator=generator).to(torch.int32).unbind())
     p = Vec3(*(torch.full((count,), c, dtype=torch.float64) for c in place))
@@ -152,7 +152,7 @@ def _samples_off(where: str, light: LightSample, place: tuple[float, float, floa
 
 
 def weights_off(lit: Lit, where: str, light: LightSample) -> tuple[float, str]:
-    """The error of samples' densities against those of rays, in such units; a few at edges are ignored."""
+    """The error of samples' densities against those of rays, in units of what is allowed, and the figures in words."""
     used = (light.pdf > 0).nonzero()[:, 0]
     if not len(used):
         return 0.0, f"{where}: no sample can be used"
@@ -163,7 +163,7 @@ def weights_off(lit: Lit, where: str, light: LightSample) -> tuple[float, str]:
 
 
 def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[float, str]:
-    """The error of the light by samples against that by rays, over parts of the sphere and in total, in such units."""
+    """The error of radiance integrals by light samples against those by rays, in units of what is allowed, and figures."""
     count, used = len(light.pdf), light.pdf > 0
     to_lights = rows(light.d, used.nonzero()[:, 0])
     cells = Cells.around(to_lights, max(count // 200, 1))
@@ -192,7 +192,7 @@ def light_off(lit: Lit, where: str, light: LightSample, seed: int) -> tuple[floa
 
 
 def _brightness(radiance: Vec3) -> Tensor:
-    """The mean of the colour channels."""
+    """The mean of the colour channels of radiance."""
     return (radiance.x + radiance.y + radiance.z) / 3
 
 

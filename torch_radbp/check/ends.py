@@ -37,7 +37,7 @@ def _ends_of(domains: list[Domain]) -> list[float]:
 
 
 def _parameters_of(plugin: Plugin) -> dict[str, tuple[Held, Tensor]]:
-    """The current value of everything with a domain that can be set, by name."""
+    """The parameters of a plugin that have a range, by name, each with its attribute and current value."""
     by_name = {name.removeprefix("."): held for name, held in held_in(plugin).items() if held.attribute is not None}
     return {name: (held, held.value) for name, held in by_name.items() if isinstance(held.value, nn.Parameter)}
 

@@ -58,7 +58,7 @@ class Lanes(NamedTuple):
                      differentiable_copy(joined) if isinstance(joined, Vec3) else joined)
 
     def named(self) -> dict[str, Tensor]:
-        """All scalars of the lanes, by name."""
+        """All scalar arguments of the lanes, by name."""
         scalars = {f"values[{k}].{c}": part for k, value in enumerate(self.values) for c, part in zip("xyz", value)}
         scalars |= {f"wi.{c}": part for c, part in zip("xyz", self.wi)}
         names = ("wo.x", "wo.y", "wo.z") if isinstance(self.other, Vec3) else ("choice", "u", "v")
@@ -99,7 +99,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
                         corners: Sequence[tuple[float, float, float]], length_error: float = 0.0) -> Iterator[str]:
     """Yields what is not finite in samples, and at sampled directions, for each wi with all `corners`.
 
-    Nor may squared lengths of samples be off one by more than `length_error`, and some rounding.
+    It also yields samples whose squared length is off 1 by more than `length_error`, and some rounding.
     """
     lanes = Lanes.of(values, wi, [LaneNumbers(*(torch.full_like(wi.z, number).detach() for number in corner))
                                   for corner in corners])

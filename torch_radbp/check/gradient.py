@@ -169,7 +169,7 @@ class Measurement:
         self.progress, self.done, self.total = progress, 0, 0
 
     def with_step(self, step: float) -> Measurement:
-        """The same measurement with another step, from the same samples."""
+        """A copy of this measurement with another step of the differences, and the same samples."""
         return Measurement(self.renderer, self.name, self.value, self.place._replace(step=step), self.batch)
 
     def arguments(self, number: int) -> dict:
@@ -182,7 +182,7 @@ class Measurement:
             self.progress(self.done, self.total)
 
     def difference(self, number: int) -> ImageDifference:
-        """The finite difference of a batch."""
+        """The finite difference of the images of a batch."""
         parameters = {f"scene.{name}": value.detach() for name, value in self.renderer.scene.named_parameters()}
         images = {}
         with torch.no_grad():

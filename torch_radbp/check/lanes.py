@@ -59,9 +59,9 @@ def sampled(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumb
 
 
 def choices(kind: Kind | CheckedKind, values: Values, wi: Vec3, random: LaneNumbers, most: int = 64) -> list[LobeChoice]:
-    """Each lobe that is chosen on some lane, with its probability there, which may be zero; in order of its number.
+    """The lobes that random numbers choose on some lane, one after the other, with their probabilities, which may be zero.
 
-    `most`: after so many it ends, should the probabilities not add up to 1.
+    `most`: the number of lobes after which it ends, should their probabilities not add up to 1.
     """
     chosen, last = [], torch.zeros_like(random.choice)
     while (open_ := last < 1 - 1e-9).any() and len(chosen) < most:

@@ -21,7 +21,7 @@ MOST_ROUNDINGS = 1e4  # of the dtype's epsilon, between forward and backward pas
 
 
 class Question(NamedTuple):
-    """The settings of a gradient check, and what is known in advance."""
+    """The settings of a gradient check, whether geometry moves, and which terms of the derivative are left out."""
 
     name: str  # these fields as in `GradientCheck`
     direction: Tensor
@@ -103,7 +103,7 @@ class GradientCheck:
         return [("projected on", "differences", "JVP", "std error", "z", "off by", "VJP-JVP"), *body]
 
     def summary(self) -> list[tuple[str, str]]:
-        """The other figures as text: label and value."""
+        """The figures of pixels and tiles as text: label and value."""
         pixels, tiles = self.comparison.pixels, self.comparison.tiles
         bias = f"{tiles.relative_bias:.2%}" if tiles.mean_square_z > tiles.limit else "no more than chance explains"
         return [("pixels: mean square z", f"{pixels.mean_square_z:.2f}"),
@@ -123,7 +123,7 @@ def judge(question_asked: Question, comparison: Comparison) -> GradientCheck:
     if its tiles are off by more than chance allows and by more than 1%; the 1% is allowed for the step of the finite
     differences, and what they bend by. It is biased, too, if it is not finite, or if forward mode and the backward pass
     disagree. Silhouettes are named if the renderer has said that it leaves some out. It is too noisy if an error of 5% could
-    have gone undetected. Whether the step makes the error of one that is biased, `said_of_step` finds out.
+    have gone undetected. `said_of_step` finds out whether the finite step is what makes it biased.
     """
     informative = comparison.projections[1]
     surest = min(comparison.projections if informative.bend else [informative], key=hidden)
@@ -151,7 +151,7 @@ def said_of_step(question: Question, result: GradientCheck, halved: Comparison, 
 
 
 def said_of_floor(result: GradientCheck, floor: float) -> GradientCheck:
-    """The biased verdict on a parameter that is below a floor of its plugin."""
+    """Revises a biased verdict on a parameter that lies below the value to which its plugin clamps it."""
     return replace(result, verdict=AT_FLOOR, explanation=(
         f"values below {floor:.3g} may count as larger ones, with the derivatives that these have, so that optimizers can "
         f"leave the end of the range again; differences do not show that. Check the derivative at {floor:.3g} or more"))

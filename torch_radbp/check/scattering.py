@@ -34,7 +34,7 @@ LENGTH = 1e-6  # that a squared length may be off
 
 
 class Subject(NamedTuple):
-    """A material at one surface point."""
+    """The scattering functions of a material, and their parameters at one surface point."""
 
     kind: CheckedKind | Kind
     values: Callable[[Tensor], Values]  # of its parameters, on as many lanes as the argument has
@@ -105,7 +105,7 @@ def _samples_off(view: ViewerSamples) -> tuple[float, str]:
 
 
 def weight_off(view: ViewerSamples) -> tuple[float, str]:
-    """The error of the mean of eval / pdf against the integral of eval, in such units; of the worst channel."""
+    """The error of the mean of eval / pdf against the integral of eval in the worst channel, in units of what is allowed."""
     smooth = view.weight * (~view.delta).double()[:, None]
     means, errors = smooth.mean(0), smooth.std(0) / len(smooth) ** 0.5
     cases = []
@@ -118,7 +118,7 @@ def weight_off(view: ViewerSamples) -> tuple[float, str]:
 
 
 def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tuple[float, str]:
-    """The error of lobes' frequencies against their probabilities, in such units; at equal u and v."""
+    """The error of lobes' frequencies against their probabilities, in units of what is allowed; u and v are held."""
     kind, off = subject.kind, 0.0
     wi, choice = direction(VIEWERS[where], AZIMUTH, count), (torch.arange(count, dtype=torch.float64) + 0.5) / count
     for pair in torch.rand(TRIES, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64):
@@ -149,7 +149,7 @@ def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding
 
 
 def methods_off(subject: Subject, count: int, seed: int) -> tuple[float, str]:
-    """The disagreement of `eval`, `pdf` and `eval_pdf`, with and without fixed lobes, and negative values, in such units."""
+    """The disagreement of `eval`, `pdf` and `eval_pdf`, or negative values, in units of what is allowed, and the figures."""
     kind, wi, wo = subject.kind, directions(count, seed), directions(count, seed + 1)
     values = subject.values(wi.z)
     value, pdf = kind.eval_pdf(values, wi, wo)

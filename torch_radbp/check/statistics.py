@@ -34,7 +34,7 @@ class Estimates(NamedTuple):
     bend: Tensor | None = None  # (R, B, 3, H, W) mean error of one-sided differences; None: not estimated
 
     def changed(self, halved: Tensor) -> Estimates:
-        """Estimates to compare with zero: how finite differences change with half of the step, the samples being equal."""
+        """The changes of finite differences when the step is halved, for the same samples, to be compared with zero."""
         return Estimates(torch.zeros_like(halved), halved - self.difference, 3 * self.rounding)
 
 
@@ -64,12 +64,12 @@ class Projection(NamedTuple):
 
     @property
     def z(self) -> float:
-        """`error` in standard errors."""
+        """The error jvp - difference in units of its standard error."""
         return _quotient(self.error, self.standard_error)
 
     @property
     def relative_error(self) -> float:
-        """`error` relative to `scale`."""
+        """The error jvp - difference relative to `scale`."""
         return _quotient(self.error, self.scale)
 
     @property
@@ -131,7 +131,7 @@ def mean_error(difference: Tensor, jvp: Tensor, rounding: Tensor) -> Mean:
 
 
 def bends(samples: Tensor | None, rounding: Tensor, least: float = KINK) -> Tensor:
-    """The mean curvature error of (R, ...) samples where it exceeds the noise, else 0; zeros like `rounding` for None."""
+    """The mean error that the curvature of images gives finite differences, by R samples, 0 where noise may be all of it."""
     if samples is None:
         return torch.zeros_like(rounding)
     mean, noise = samples.mean(0).abs(), (samples.var(0) / len(samples) + rounding**2).sqrt()
@@ -248,7 +248,7 @@ def quantile(values: Tensor, share: float) -> Tensor:
 
 
 def _quotient(value: float, unit: float) -> float:
-    """value / unit; 0 / 0 is 0, and anything else over 0 is infinite."""
+    """The quotient value / unit; 0 / 0 is 0, and anything else over 0 is infinite."""
     if unit == 0:
         return 0.0 if value == 0 else math.copysign(math.inf, value)
     return value / unit

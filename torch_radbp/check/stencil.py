@@ -48,11 +48,11 @@ def inside(scene: Scene, name: str, direction: Tensor, step: float, *, chosen: b
         name: of the parameter.
         direction: of its shape.
         step: the largest.
-        chosen: by the user; else a part of it will do.
+        chosen: the step is the user's; else a part of it will do.
         turns: entries of the parameter that stand at the upper end of their range may move down instead of up.
 
     Raises:
-        ValueError: if there are no such places.
+        ValueError: if steps to both sides leave the domain.
     """
     parameter, first, floor = scene.get_parameter(name), None, floor_of(scene, name)
     floor = floor if bool((parameter >= floor).all()) else -torch.inf  # differences do not cross it
@@ -104,7 +104,7 @@ def _outside(scene: Scene, name: str, value: Tensor, leeway: float) -> str | Non
 
 
 class DomainOf(nn.Module):
-    """Calls the checks of parameters that every rendering of all sensors makes."""
+    """A module whose call makes the checks of parameters' ranges that every rendering makes, for `functional_call`."""
 
     def __init__(self, scene: Scene, leeway: float):
         super().__init__()

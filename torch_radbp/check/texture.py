@@ -73,7 +73,7 @@ def _places_of(count: int, seed: int, dtype: torch.dtype) -> Vec3:
 
 
 def findings(texture: Texture, p: Vec3, low: float | None, high: float | None) -> list[Finding]:
-    """The findings on a texture in its dtype; its parameters and the points attached."""
+    """Tests a texture's values and derivatives, by its parameters and the points, in its dtype."""
     values = texture_at(texture, p).stack()
     least, greatest = values.detach().min().item(), values.detach().max().item()
     bad = (~torch.isfinite(values)).any(1)

@@ -30,7 +30,7 @@ from torch_radbp.tensors.vec import Vec2, Vec3, normalize
 
 
 class CameraTable(NamedTuple):
-    """The camera as a table of one row."""
+    """The camera as a light table of one row."""
 
     lens: Lens  # (1,) each, attached
     film: FilmTensors
@@ -40,11 +40,11 @@ class CameraTable(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraAsLight(LightKind):
-    """The camera as a light at its eye.
+    """The camera as a light without extent, to which vertices of paths from lamps connect.
 
     Args:
-        camera: the functions of the camera.
-        asked: the derivative of the loss by the pixels is known.
+        camera: the kind of camera.
+        asked: True if the derivative of the loss by pixels is known; else it is left out.
     """
 
     camera: ProjectiveKind
@@ -72,7 +72,7 @@ class CameraAsLight(LightKind):
 
 
 def from_lamps(scene: SceneTensors, camera: Camera) -> SceneTensors:
-    """The scene for paths that begin at lamps: the camera stands in the place of the lights; attached to both."""
+    """The scene for paths that begin at lamps, with the camera in place of the lights; attached to both."""
     first = camera.film.size_x.new_zeros(1)
     table = CameraTable(mapped(camera.lens, lambda part: part[None] if isinstance(part, Tensor) else part),
                         camera.film.without_border(),
@@ -83,8 +83,8 @@ def from_lamps(scene: SceneTensors, camera: Camera) -> SceneTensors:
     return scene._replace(lights=lights, lit=(), layout=layout)
 
 
-def asked_by(scene: SceneTensors, pixels: Vec3) -> SceneTensors:
-    """`from_lamps` with the derivative of the loss by pixels, see `CameraTable`."""
+def with_pixel_adjoints(scene: SceneTensors, pixels: Vec3) -> SceneTensors:
+    """A scene from `from_lamps` with the derivative of the loss by pixels, see `CameraTable`."""
     table, = scene.lights.tables
     kind, = scene.layout.lights
     return scene._replace(lights=scene.lights._replace(tables=(table._replace(pixels=pixels),)),

@@ -21,7 +21,7 @@ FAR = 1e10  # the distance of the surround
 
 
 class LightSample(NamedTuple):
-    """A sampled point on a light per lane, as seen from a reference point; attached to both."""
+    """A sampled point on a light for each lane, as seen from a reference point; attached to both."""
 
     d: Vec3  # unit direction towards it; fixed for the environment
     radiance: Vec3  # that it sends back (for a light without extent: intensity / distance^2, or irradiance)
@@ -34,7 +34,7 @@ class LightSample(NamedTuple):
 
 
 class Aims(NamedTuple):
-    """Points sampled on lights by each kind of light, (N,)."""
+    """Sampled points on lights, (N,), as each kind of light has computed them."""
 
     element: Tensor  # int32
     cases: list[Case]
@@ -42,13 +42,13 @@ class Aims(NamedTuple):
     p: Vec3  # the points, world space; for lights without position the reference point
 
     def __call__(self, name: str):
-        """One field of the `Aim` of each lane's kind of light; None: no kind has it."""
+        """One field of `Aim`, merged from all kinds of lights by the kind of each lane; None: no kind has it."""
         return merged_by_case(self.cases, [getattr(aim, name) for aim in self.of_case])
 
 
 def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, numbers: LightNumbers,
                picked: LightPick | None = None) -> Aims:
-    """Selects lights, and points on them. Args as for `sample_light`."""
+    """Selects a light and samples a point on it, without radiance. Args as for `sample_light`."""
     lights = proposal.lights
     if picked is None:
         element = lights.choice.sample(numbers.choice, unit(numbers.split, reference.x.dtype))
@@ -65,7 +65,7 @@ def light_aims(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, num
 
 
 def sample_places(scene: SceneTensors, aims: Aims) -> tuple[Place, ...]:
-    """The points at which emitters' textures are evaluated for light samples; attached."""
+    """The sampled points on lights, at which emitters' network textures are evaluated; attached."""
     uv = aims("uv") if scene.layout.radiance_bitmaps else None
     return tuple(Place(lookup(rows, aims.element), reader.place(aims.p, uv))
                  for reader, rows in zip(scene.layout.lit, scene.lights.outside))
@@ -80,10 +80,10 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
     Args:
         scene: attached; gives geometry, poses and radiance.
         proposal: detached; gives every choice.
-        reference: (N,) world positions of the points where light is wanted, attached or not.
-        numbers: decide.
-        picked: the element, if that has been decided before.
-        texture_values: the values of emitters' textures that are read outside, at the `sample_places`.
+        reference: (N,) world positions of the illuminated points, attached or not.
+        numbers: the random numbers.
+        picked: the element, if it has been selected before.
+        texture_values: the values of emitters' network textures at the `sample_places`.
     """
     samples = light_aims(scene, proposal, reference, numbers, picked)
     element, cases, aims, target = samples
@@ -100,7 +100,7 @@ def sample_light(scene: SceneTensors, proposal: SceneTensors, reference: Vec3, n
 
 
 def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The radiance of light samples: a texture times its factor, or what the kind of light has computed."""
+    """The radiance of light samples: a texture times a factor, or what the kind of light has computed."""
     element, cases, aims, p = samples
     computed = samples("radiance")
     if all(aim.radiance is not None for aim in aims):
@@ -116,7 +116,7 @@ def sent(scene: SceneTensors, samples: Aims, texture_values: tuple[TextureValue,
 
 
 def strength(aim: Aim) -> Tensor | None:
-    """The factor by which a light multiplies its texture; None for lights that read none."""
+    """The factor by which a light multiplies its texture; None for lights without texture."""
     return torch.ones_like(aim.pdf) if aim.strength is None and aim.radiance is None else aim.strength
 
 

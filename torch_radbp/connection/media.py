@@ -12,9 +12,9 @@ from torch_radbp.tensors.vec import Ray, Vec3
 
 
 def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | None:
-    """The share of light that the medium around lets through over a distance along each ray, (N,); None: there is none.
+    """The transmittance of the medium around everything over a distance along each ray, (N,); None: there is none.
 
-    Attached to the table of the medium, the rays and the distances. Of scenes whose media have no boundaries.
+    Attached to the table of the medium, the rays and the distances. For scenes whose media have no boundaries.
     """
     number = scene.layout.around
     if number is None:
@@ -23,14 +23,14 @@ def transmittance(scene: SceneTensors, ray: Ray, distance: Tensor) -> Vec3 | Non
 
 
 def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...]) -> Vec3:
-    """The share of light that all media together let through, (N,), attached to their tables.
+    """The product of the transmittances of all media along rays, (N,), attached to their tables.
 
-    The derivative of a transmittance T over a length l is - T l times that of the extinction at a point picked evenly on the
-    way, whatever T was estimated by. There is no division, so that an extinction of 0 has the right one.
+    The derivative of a transmittance T over a length l is - T l times that of the extinction at a uniformly sampled point,
+    however T was estimated. There is no division, so that it is right at an extinction of 0, too.
 
     Args:
         ray: (N,).
-        ways: (N,) along it, through each of `Layout.media`.
+        ways: (N,) along the ray, through each of `Layout.media`.
     """
     through = Vec3.full(ray.d.x, 1.0)
     for kind, table, way in zip(scene.layout.media, scene.media, ways):
@@ -44,12 +44,12 @@ def transmittance_of(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...])
 
 
 def attenuated(light: Vec3, through: Vec3 | None) -> Vec3:
-    """Light of which a share is let through; None: all of it."""
+    """Light times a transmittance; None: 1."""
     return light if through is None else light * through
 
 
 def transmittance_to_light(scene: SceneTensors, start: Vec3, light: LightSample) -> Vec3 | None:
-    """`transmittance` from points to light samples, (N,); None: connections say what they pass, or nothing is there."""
+    """The `transmittance` from points to light samples, (N,); None: without medium, or where media have boundaries."""
     if scene.layout.around is None or scene.layout.traces_segments:
         return None
     return transmittance(scene, *connection_of(start, light))

@@ -77,7 +77,7 @@ class AreaKind(SurfaceKind):
 
     def emit(self, table: EmittingTriangles, proposal: EmittingTriangles, pick: Pick, numbers: RayNumbers,
              world: Surrounding) -> Aim:
-        """Points are uniform over the area, directions around the normal as the cosine, or even towards what is wanted."""
+        """Samples rays: points uniform over the area, directions by the cosine to the normal or towards `world.targets`."""
         row, b = pick.row, square_to_uniform_triangle(*(unit(bits, pick.pmf.dtype) for bits in (pick.u, pick.v)))
         n, sends, across = lookup(table.n, row), None, numbers.across
         target, pdf = interpolated(lookup(table.p, row), b.x, b.y), pick.pmf * lookup(table.inverse_area, row)

@@ -20,7 +20,7 @@ from torch_radbp.transforms import affine
 
 
 class ConstantTable(NamedTuple):
-    """The constant environment's one row; attached."""
+    """The table of the constant environment, of one row; attached."""
 
     radiance: Vec3
 

@@ -19,7 +19,7 @@ from torch_radbp.transforms import transform
 
 
 class DirectionalTable(NamedTuple):
-    """One row for each directional light; attached."""
+    """The table of directional lights, a row for each; attached."""
 
     towards: Vec3  # unit direction towards it
 

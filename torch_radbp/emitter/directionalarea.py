@@ -19,7 +19,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, crossing, dot, interpolated
 
 @dataclass(frozen=True)
 class DirectionalAreaKind(SurfaceKind):
-    """Surfaces that emit parallel light along their normals: a point is lit from the foot of its perpendicular."""
+    """Surfaces that emit parallel light along their normals: a point is lit from the foot of its perpendicular on them."""
 
     delta: ClassVar[bool] = True
     parallel: ClassVar[bool] = True

@@ -143,7 +143,7 @@ class Latitudes(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def latitudes(height: int, width: int, dtype: torch.dtype, device: torch.device) -> Latitudes:
-    """The `Latitudes` of images of one size."""
+    """Computes the rows of texels, as `Latitudes`, of images of one size."""
     edges = torch.sin(torch.linspace(0, math.pi / 2, max(height, 2), dtype=torch.float64, device=device)) ** 2
     return Latitudes(edges.to(dtype), ((4 * math.pi / width) * edges.diff()[:, None]).to(dtype),
                      *(torch.tensor(count, dtype=torch.int32, device=device) for count in (height, width)))

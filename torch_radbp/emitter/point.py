@@ -19,7 +19,7 @@ from torch_radbp.transforms import affine, transform_points
 
 
 class PointTable(NamedTuple):
-    """One row for each point light; attached."""
+    """The table of point lights, a row for each; attached."""
 
     place: Vec3
 

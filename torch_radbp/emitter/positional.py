@@ -21,7 +21,7 @@ FLATTEST = 1e-4  # cosine with a light's axis below which its image is not read
 
 @dataclass(frozen=True)
 class PositionalKind(LightKind):
-    """Lights at a point (column `place` of the table), whose light falls with the square of the distance."""
+    """Lights at a point (column `place` of the table), whose irradiance falls with the square of the distance."""
 
     delta: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
@@ -64,7 +64,7 @@ class PositionalKind(LightKind):
 
 
     def leaving(self, light: Table, uv: Vec2) -> Vec3:
-        """The directions, (N,) world, of any length, of the light at positions `uv` of a light's image; attached."""
+        """The world directions, (N,) of any length, in which light leaves through positions `uv` of its image; attached."""
         return Screen.towards(light.to_local, light.to_uv, uv)
 
 
@@ -101,7 +101,7 @@ def direction_from_local(to_local: Frame, local: Vec3) -> Vec3:
 
 
 def local_solid_angle(to_local: Frame, d: Vec3) -> Tensor:
-    """How much solid angle of a light's local directions there is for each in the world, at unit world directions."""
+    """The solid angle of a light's local directions per solid angle in the world, at unit world directions."""
     local = to_local.to_local(d)
     length = torch.sqrt(dot(local, local).clamp_min(NEAREST**2))
     return dot(cross(to_local.s, to_local.t), to_local.n).abs() / (length * length * length)

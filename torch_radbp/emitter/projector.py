@@ -23,7 +23,7 @@ from torch_radbp.transforms import transform
 
 
 class ProjectorTable(NamedTuple):
-    """One row for each projector; attached."""
+    """The table of projectors, a row for each; attached."""
 
     place: Vec3
     to_local: Frame  # rows of the matrix from world directions to the projector's, which shines along its +z
@@ -42,7 +42,7 @@ class ProjectorKind(PositionalKind):
         return LightBounds(place, torch.zeros_like(luminance), luminance, axis, corner, torch.zeros_like(luminance))
 
     def beam(self, light: ProjectorTable, across: Vec2) -> tuple[Vec3, Tensor]:
-        """Positions are uniform over the image."""
+        """Samples directions through uniform positions of the image, with their density over solid angle."""
         d = normalize(self.leaving(light, across))
         local = direction_to_local(light.to_local, d)
         area = (light.to_uv.x * light.to_uv.y).abs()  # of the image, for that of the plane at distance 1

@@ -35,7 +35,7 @@ CUTOFF = NUMBER._replace(low=0.0, high=180.0, low_is_in=False, unit=" degrees")
 
 
 class SpotTable(NamedTuple):
-    """One row for each spot; attached."""
+    """The table of spotlights, a row for each; attached."""
 
     place: Vec3
     to_local: Frame  # rows of the matrix from world directions to the spot's, which shines along its +z
@@ -58,7 +58,7 @@ class SpotKind(PositionalKind):
         return LightBounds(place, torch.zeros_like(luminance), luminance, axis, cutoff - width, width)
 
     def beam(self, light: SpotTable, across: Vec2) -> tuple[Vec3, Tensor]:
-        """Directions are uniform in the cone."""
+        """Samples directions uniformly in the cone, with their density over solid angle."""
         size = 1.0 - torch.cos(light.cutoff)
         z = 1.0 - size * across.x
         r, phi = torch.sqrt((1.0 - z * z).clamp_min(0.0)), 2.0 * math.pi * across.y

@@ -10,7 +10,7 @@ from torch_radbp.texture.rgb import as_texture
 
 
 class SurfaceLight(Light):
-    """Emits `radiance`, a texture or a module, from the shape that carries it; the kind says where to, and in which unit.
+    """Emits `radiance`, a texture or a module, from the shape that carries it; its kind says where to and in which unit.
 
     Args:
         radiance: of the light; `area`: W / (m^2 sr), `directionalarea`: W / m^2.

@@ -48,7 +48,8 @@ def row_sums(stage: Stage, grid: Grid, values: tuple[Tensor, ...], block: Block)
     """(R, 1 + C, n, columns): weighted sums of samples in n pixel rows, for each of the R rows in the filter's reach.
 
     Args:
-        stage: see `offset_sums`; so is `values`, of all pixels of these rows, row by row.
+        stage: `splat.deposited`, as it is run.
+        values: C of the samples of all pixels of these rows, row by row.
         grid: of the film.
         block: of the samples.
     """
@@ -77,7 +78,7 @@ def across(grid: Grid, sums: Tensor) -> Tensor:
 class Development:
     """Accumulates the rows of an image, from above on, as their weighted sums arrive.
 
-    Whatever comes at once, every pixel is the same sum in the same order.
+    However many rows come at once, every pixel is the same sum in the same order.
     """
 
     def __init__(self, grid: Grid):
@@ -86,7 +87,7 @@ class Development:
         self.total: Tensor | None = None  # (1 + C, rows, columns), of which `done` rows are done
 
     def add(self, sums: Tensor) -> None:
-        """Adds the next rows of sums, as of `row_sums`."""
+        """Adds the sums of the next pixel rows, which `row_sums` returns."""
         reach, rows = self.grid.kernel.reach, self.grid.rows
         if self.waiting is None:
             self.total = sums.new_zeros(sums.shape[1], rows, self.grid.columns)

@@ -48,7 +48,7 @@ class Kernel:
         return [self(u - (0.5 + offset)) for offset in range(-self.reach, self.reach + 1)]
 
     def nearby(self, u: Tensor) -> tuple[Tensor | int, list[Tensor]]:
-        """As `around`, without the outermost pixel in which a sample cannot count.
+        """The filter weights of samples in the pixels around, as by `around`, without an outermost pixel where they are 0.
 
         Returns:
             The offset of the first pixel, (N,) int32 or one for all, and the weights.
@@ -94,7 +94,7 @@ class Filter(ReconstructionFilter):
     radius: float  # where it ends, pixels from the centre
 
     def kernel(self) -> Kernel:
-        """The filter as a hashable value."""
+        """The filter as a `Kernel`, a hashable value for functions of lanes."""
         raise TypeError(f"{type(self).__name__} does not define its values")
 
     def evaluate(self, x: Tensor) -> Tensor:

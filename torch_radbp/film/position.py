@@ -44,7 +44,7 @@ class FilmTensors(NamedTuple):
         return Vec2(position.x * self.size_x - self.crop_x, position.y * self.size_y - self.crop_y)
 
     def without_border(self) -> FilmTensors:
-        """The film of points that come from everywhere: those beside the window count in it by the filter, too."""
+        """The film for points from everywhere, as of light paths: those beside the window count in it, too."""
         reach = torch.full_like(self.columns, self.kernel.reach)
         beside = Vec2(reach, reach)
         whole_x, whole_y = (torch.full_like(inside, self.kernel.integral, dtype=self.size_x.dtype)
@@ -66,12 +66,12 @@ class FilmTensors(NamedTuple):
 
     @property
     def margin(self) -> int:
-        """Pixels beside the window to which points may contribute that are seen on a film `without_border`."""
+        """The number of pixels beside the window to which points on a film `without_border` may contribute."""
         return 2 * self.kernel.reach
 
     def patch(self, place: Vec2) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-        """As `around`, for a film `without_border`, of the window with a `margin` around it: the row-major number of the
-        upper left pixel, (N,) int32, and the factors of the weights of rows and of columns."""
+        """The pixels to which points contribute, of the window with a `margin` around it, on a film `without_border`: the
+        row-major number of the upper left one, (N,) int32, and the factors of the weights of rows and of columns."""
         parts = ((self.columns, self.before.x, self.after.x, place.x), (self.rows, self.before.y, self.after.y, place.y))
         (column, across, in_columns), (row, down, in_rows) = (_weights(self.kernel, *part) for part in parts)
         number = (row + self.margin) * (self.columns + 2 * self.margin) + (column + self.margin)
@@ -81,13 +81,13 @@ class FilmTensors(NamedTuple):
         return number, down, across
 
     def is_near(self, place: Vec2) -> Tensor:
-        """(N,) bool: points lie in the window or so near to it that there are samples; all that contribute do. Args as for
-        `around`."""
+        """(N,) bool: points lie in the window or so near to it that there are samples, as all do that contribute to it. Args
+        as for `around`."""
         return (_is_sampled(self.columns, self.before.x, self.after.x, place.x)
                 & _is_sampled(self.rows, self.before.y, self.after.y, place.y))
 
     def columns_and_rows(self, place: Vec2) -> tuple[list[tuple[Tensor, Tensor]], list[tuple[Tensor, Tensor]]]:
-        """The columns and the rows of `around`, each with a factor of the weight; args as there."""
+        """The columns and the rows of pixels to which points contribute, each with a factor of the weight; see `around`."""
         return (_counted(self.kernel, self.inside_x, self.columns, self.before.x, self.after.x, place.x),
                 _counted(self.kernel, self.inside_y, self.rows, self.before.y, self.after.y, place.y))
 
@@ -98,7 +98,7 @@ class FilmTensors(NamedTuple):
 
 
 def _any_counts(pixels: list[tuple[Tensor, Tensor]]) -> Tensor:
-    """(N,) bool: some weights are not 0."""
+    """(N,) bool: the weight of a point is not 0 in some pixel."""
     return reduce(operator.or_, [weight != 0.0 for _, weight in pixels])
 
 
@@ -109,8 +109,8 @@ def _is_sampled(size: Tensor, before: Tensor, after: Tensor, place: Tensor) -> T
 
 def _weights(kernel: Kernel, size: Tensor, before: Tensor, after: Tensor,
              place: Tensor) -> tuple[Tensor, list[Tensor], Tensor]:
-    """The columns (or rows) to which points contribute on a film without end: the first of them, (N,) int32, the filter's
-    values from there on, and which points are where there are samples, (N,) bool. Args as for `_counted`."""
+    """The columns (or rows) to which points contribute on an infinite film: the first one, (N,) int32, the filter's values
+    from there on, and whether points lie where there are samples, (N,) bool. Args as for `_counted`."""
     nearest = torch.floor(place)
     sampled = _is_sampled(size, before, after, place)
     nearest = torch.where(sampled, nearest, 0.0)

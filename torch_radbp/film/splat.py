@@ -25,7 +25,7 @@ PIECE, PIECE_ELSEWHERE = 1 << 14, 1 << 18
 
 
 class Block(NamedTuple):
-    """Samples of P pixels: as many lanes for each pixel, one after the other."""
+    """Samples of P pixels: equally many lanes for each, pixel after pixel."""
 
     place: Vec2  # (N,) position of each sample in its pixel, in [0, 1)
     samples: int  # of a pixel
@@ -72,7 +72,7 @@ def paired(terms: list[Tensor]) -> Tensor:
 
 
 class PixelAdjoints(NamedTuple):
-    """The adjoints of pixels, which those of samples are gathered from."""
+    """The adjoints (derivatives of the loss) of pixels, from which those of samples are gathered."""
 
     tables: tuple[Tensor, ...]  # one for each value of a sample, with an entry for each pixel
     down: Tensor  # () int32, entries from one row of pixels to the next
@@ -88,7 +88,7 @@ def gathered_from_pixels(kernel: Kernel, pixels: PixelAdjoints, place: Vec2, ent
         kernel: the reconstruction filter.
         pixels: the adjoints of pixels.
         place: (N,) of the samples.
-        entry: (M,) int32, that of the upper left pixel in which the samples count.
+        entry: (M,) int32, the index in the tables of the upper left pixel in which the samples count.
         first, left, count: which samples; see `deposited`.
 
     Returns:
@@ -137,7 +137,7 @@ def offset_sums(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block:
 
 
 def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Block) -> Tensor:
-    """The sums by offset of `offset_sums`, detached."""
+    """Computes the sums by offset that `offset_sums` returns, detached."""
     (place, samples, _), size = block, 2 * kernel.reach + 1
     if len(values) > MOST_VALUES:
         some, others = (sums_of(stage, kernel, part, block) for part in (values[:MOST_VALUES], values[MOST_VALUES:]))
@@ -154,7 +154,7 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
 
 
 def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
-    """`first` and `left`, (P, parts of a pixel), and `count` of lanes that split a block's samples; see `deposited`."""
+    """Splits a block's samples into parts: `first` and `left`, (P, parts of a pixel), and `count`, of `deposited`."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while stage.is_compiled and count < min(spp, TOGETHER):
@@ -183,7 +183,7 @@ def gathered_by(stage: Stage, kernel: Kernel, tables: tuple[Tensor, ...], block:
         kernel: the reconstruction filter.
         tables: C, as of `PixelAdjoints`; `down`, `across` likewise.
         block: of the samples.
-        entry: (P,) int32, that of the upper left pixel in which the samples of each pixel count.
+        entry: (P,) int32, the index in the tables of the upper left pixel in which the samples of each pixel count.
     """
     first, left, count = _parts_of(stage, block)
     parts = first.shape[1]

@@ -54,7 +54,7 @@ class Repairs:
                 self.tell()
 
     def add(self, place: str, what: str) -> None:
-        """Notes a place and what was done there, as in "frames[7]", "is left out: ..."; duplicates count once."""
+        """Notes a place in the file and its repair, as in "frames[7]", "is left out: ..."; duplicates count once."""
         self.places.setdefault(what, {}).setdefault(place)
 
     def add_rows(self, rows: Iterable[int], place: Callable[[int], str], what: str) -> None:

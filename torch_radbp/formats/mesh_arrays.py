@@ -58,10 +58,10 @@ def used_by(faces: np.ndarray, rows: int) -> np.ndarray:
 
 
 def usable_positions(vertices: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> np.ndarray:
-    """The positions with those replaced that are not finite and unused.
+    """The positions of vertices, with those that are not finite replaced if no face uses them.
 
     Raises:
-        ValueError: names the `place` of the first that is not finite of those that faces use.
+        ValueError: names the `place` of the first vertex that a face uses and whose position is not finite.
     """
     check_finite("vertices", np.where(used[:, None], vertices, 0.0), place)
     bad = ~np.isfinite(vertices).all(axis=1)
@@ -85,7 +85,7 @@ def usable_uv(uv: np.ndarray, used: np.ndarray, place: Callable[[int], str]) -> 
 
 def _replaced(values: np.ndarray, bad: np.ndarray, by: np.ndarray, told: np.ndarray, place: Callable[[int], str],
               what: str) -> np.ndarray:
-    """`values` with `by` in the `bad` rows; warns of the rows `told`."""
+    """A copy of `values` with `by` in the rows that are `bad`; warns of the rows `told`."""
     if told.any():
         with Repairs() as repairs:
             repairs.add_rows(np.flatnonzero(told).tolist(), place, what)

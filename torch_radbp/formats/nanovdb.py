@@ -30,7 +30,7 @@ CONVERT = "convert it by `nanovdb_convert smoke.vdb smoke.nvdb`, a program of Op
 
 
 class GridLayout(NamedTuple):
-    """What of a tree depends on the type of its values; in bytes."""
+    """The sizes of a tree's parts that depend on the type of its values, in bytes."""
 
     channels: int
     root_size: int
@@ -54,19 +54,19 @@ LEVELS = TreeLevel(32, 128, 4128, 8256), TreeLevel(16, 8, 544, 1088)
 
 
 class DenseGrid(NamedTuple):
-    """Values and the place of a grid."""
+    """The values of a grid, and its transform to the world."""
 
     values: np.ndarray  # (Z, Y, X, C) float32, with a layer of background around those that are set
     to_world: np.ndarray  # (4, 4) float64, from the unit cube that they fill
 
 
 def read_nanovdb(path: str | os.PathLike, name: str | None = None) -> DenseGrid:
-    """The values of the grid of a name; None: of the only one.
+    """Reads the grid called `name` from a file; None: the only one.
 
     Raises:
         FileNotFoundError: if there is no such file.
         IsADirectoryError: if it is a folder.
-        ValueError: names the file, of what is malformed, cut short, or none of what is read.
+        ValueError: names the file, if it is malformed, cut short, or has no such grid of a type that is read.
     """
     place = os.fspath(path)
     with opened(path) as file:
@@ -83,7 +83,7 @@ def read_nanovdb(path: str | os.PathLike, name: str | None = None) -> DenseGrid:
 
 
 def grids_in(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """The grids of a file, by their names."""
+    """Yields the grids of a NanoVDB file, decompressed, with their names."""
     at = 0
     while at < len(data) or not at:
         magic, version, count, codec = HEADER.unpack_from(data, at)
@@ -109,7 +109,7 @@ def grids_in(data: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def unzipped(data: bytes, at: int, size: int) -> bytes:
-    """A zipped grid of a size, behind the size of what is stored."""
+    """Decompresses the grid, `size` bytes long, whose compressed length and bytes stand at byte `at`."""
     stored, = struct.unpack_from("<Q", data, at)
     return zlib.decompressobj().decompress(data[at + 8:at + 8 + stored], min(max(size, 1), 1 << 40))
 
@@ -149,8 +149,8 @@ def dense(grid: np.ndarray) -> DenseGrid:
 
 def fill(values: np.ndarray, grid: np.ndarray, layout: GridLayout, root: int, first: np.ndarray,
          background: np.ndarray) -> None:
-    """Writes what of a tree is no background into blocks, (X, Y, Z, 8, 8, 8, C), of which the least has the number
-    `first`."""
+    """Writes the values of a tree, without the background, into blocks of 8^3, (X, Y, Z, 8, 8, 8, C), from block `first`
+    on."""
     count, = struct.unpack_from("<I", grid, root + ROOT_TILES)
     tiles = root + layout.root_size + 32 * np.arange(min(count, len(grid)))  # else it is broken
     keys, children = numbers_at(grid, tiles, "<u8", 1)[:, 0], numbers_at(grid, tiles + 8, "<i8", 1)[:, 0]
@@ -176,7 +176,7 @@ def fill(values: np.ndarray, grid: np.ndarray, layout: GridLayout, root: int, fi
 
 
 def numbers_at(grid: np.ndarray, at: np.ndarray, kind: str, count: int) -> np.ndarray:
-    """(N, count) numbers of a type, which begin at bytes (N,)."""
+    """(N, count) numbers of the dtype `kind`, read from byte offsets `at`, (N,)."""
     size = np.dtype(kind).itemsize
     if at.size and not (0 <= at.min() and at.max() + size * count <= len(grid)) or (at % size).any():
         raise IndexError

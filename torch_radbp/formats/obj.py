@@ -193,7 +193,7 @@ def _indices(parts: Lines, numbers: np.ndarray, lines: Lines, words: np.ndarray,
 
 
 def _merged(faces: list[Polygons]) -> Polygons:
-    """Joins the polygons of all blocks."""
+    """Joins the polygons of all blocks of lines of a file."""
     counts, lines, corners = zip(*faces, strict=True)
     return Polygons(np.concatenate(counts), np.concatenate(lines),
                     {keyword: np.concatenate([block[keyword] for block in corners]) for keyword in WIDTHS})

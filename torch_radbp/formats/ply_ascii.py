@@ -21,17 +21,17 @@ class AsciiTables:
         self.numbers: dict[str, np.ndarray] = {}  # element -> (rows,) its lines
 
     def where(self, element: str, row: int) -> str:
-        """The line of a row, for messages."""
+        """The line of the file in which a row of an element stands, for messages."""
         return f"{self.place}, line {self.numbers[element][row]}"
 
     def finish(self) -> None:
-        """Raises ValueError if lines are left."""
+        """Raises ValueError if the file has lines after the last table."""
         for lines in (self.rest, *self.blocks):
             if lines is not None and lines.rows > 0:
                 raise ValueError(f"{self.place}, line {lines.numbers[0]}: follows after the last element of the header")
 
     def take(self, element: PLYElement) -> Iterator[Lines]:
-        """The lines of an element's rows."""
+        """Yields the lines of an element's rows, block by block."""
         missing, numbers = element.rows, [np.empty(0, np.int64)]
         while missing > 0:
             lines = self.rest if self.rest is not None and self.rest.rows > 0 else next(self.blocks, None)

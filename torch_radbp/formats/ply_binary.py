@@ -19,11 +19,11 @@ class BinaryTables:
         self.offset = 0
 
     def where(self, element: str, row: int) -> str:
-        """The name of a row, for error messages."""
+        """The file, element and number of a row, for error messages."""
         return f"{self.place}, {element} {row} (from 0)"
 
     def finish(self) -> None:
-        """Raises ValueError if bytes are left."""
+        """Raises ValueError if the file has bytes after the last table."""
         left = len(self.data) - self.offset
         if left:
             raise ValueError(f"{self.place}: {left} bytes follow after the last element of the header")
@@ -73,7 +73,7 @@ class BinaryTables:
         return np.dtype(fields)
 
     def table(self, element: PLYElement, dtype: np.dtype) -> np.ndarray:
-        """Reads (rows,) of a structured dtype."""
+        """Reads all rows of an element, (rows,) of a structured dtype."""
         needed, left = element.rows * dtype.itemsize, len(self.data) - self.offset
         if needed > left:
             raise self.cut_short(element, left // max(1, dtype.itemsize))
@@ -125,7 +125,7 @@ class BinaryTables:
         return starts, counts, places
 
     def length(self, element: PLYElement, row: int, offset: int, count: struct.Struct) -> int:
-        """Reads the length of a list."""
+        """Reads the length of the list that begins at a byte offset in a row."""
         if offset + count.size > len(self.data):
             raise self.cut_short(element, row)
         length = count.unpack_from(self.data, offset)[0]

@@ -66,7 +66,7 @@ def read_serialized(file: BinaryIO, place: str, want_normals: bool = True, shape
 
 def _checked(tables: dict[str, np.ndarray], faces: np.ndarray, want_normals: bool,
              where: Callable[[str, int], str]) -> MeshArrays:
-    """The mesh from tables of vertices, (V, 2 or 3) each, and faces, (F, 3), after checks; errors say `where`."""
+    """The mesh from tables of vertices, (V, 2 or 3) each, and faces, (F, 3), after checks; `where` names places."""
     tables = {name: values.astype(np.float64) for name, values in tables.items() if name != "normals" or want_normals}
     bad, last = faces >= len(tables["vertices"]), len(tables["vertices"]) - 1
     if bad.any():
@@ -148,7 +148,7 @@ class Inflated:
         return np.frombuffer(content, kind).reshape(rows, columns)
 
     def name(self) -> None:
-        """Skips a text that ends with a zero."""
+        """Skips the name of the mesh, a text that ends with a zero byte."""
         self.fill(LONGEST_NAME)
         end = self.ready.find(b"\0", 0, LONGEST_NAME)
         if end < 0:

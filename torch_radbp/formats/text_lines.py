@@ -76,7 +76,7 @@ class Lines(NamedTuple):
 
 
 def read_lines(file: BinaryIO, place: str, first_line: int = 1, comments: bool = False) -> Iterator[Lines]:
-    """The rest of a file, block by block.
+    """Yields the lines of the rest of a file, split into words, block by block.
 
     Args:
         file: what is left of it is read.

@@ -28,7 +28,7 @@ class PlacedMesh(NamedTuple):
 
 
 def note(place: str, what: str) -> None:
-    """Warns of what is left out; an error where the reader is strict."""
+    """Warns that something is left out; within a strict reader it becomes an error."""
     with Repairs() as repairs:
         repairs.add(place, what)
 

@@ -23,14 +23,14 @@ UNIT_BOX = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
 
 
 class VolumeFile(NamedTuple):
-    """What is in a volume file."""
+    """The values in a volume file, and the box that they fill."""
 
     values: np.ndarray  # (Z, Y, X, C) float32
     box: tuple[float, ...]  # the least x, y and z of its box, and the greatest
 
 
 def read_volume(path: str | os.PathLike, possible: tuple[int, ...] = (1,)) -> VolumeFile:
-    """The values of a volume, and its box.
+    """Reads the values of a volume file, and the box that they fill.
 
     Args:
         path: of the file.
@@ -39,7 +39,7 @@ def read_volume(path: str | os.PathLike, possible: tuple[int, ...] = (1,)) -> Vo
     Raises:
         FileNotFoundError: if there is no such file.
         IsADirectoryError: if it is a folder.
-        ValueError: names the file, of what is malformed, cut short, of another number of channels or not finite.
+        ValueError: names the file, if it is malformed, cut short, of another number of channels or not finite.
     """
     place = os.fspath(path)
     with opened(path) as file:

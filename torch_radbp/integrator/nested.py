@@ -10,7 +10,7 @@ from torch_radbp.plugin import BSDF, Integrator
 
 
 class Nesting(IntegratorSettings):
-    """Base class of integrators that add AOVs to those of a nested one.
+    """Base class of integrators that add AOVs to the image of a nested integrator.
 
     Args:
         integrators: one, or none for outputs without an image of a name.

@@ -10,8 +10,9 @@ from torch_radbp.plugin import register
 class ParticleTracer(Path):
     """Particle tracing: paths begin at the lamps, and each of their vertices is connected to the camera.
 
-    As many as the image has samples. What is seen in mirrors and through glass, which cannot be connected and is missing in
-    Mitsuba's image, comes by paths from the camera, as do lamps that are seen directly: `Renderer(light_paths="all")`.
+    There are as many paths as the image has samples. What is seen in mirrors and through glass, which cannot be connected
+    and is missing in Mitsuba's image, comes by paths from the camera, as do lamps that are seen directly:
+    `Renderer(light_paths="all")`.
     There is no `block_size`.
 
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", chapter 4.

@@ -10,7 +10,7 @@ from torch_radbp.plugin import BSDF, boolean, register
 
 
 class VolumetricPath(Path):
-    """Path tracing, which sees media whatever the integrator is called.
+    """Base class of Mitsuba's volumetric integrators: here all path tracing goes through media.
 
     It agrees with Mitsuba's volumetric integrators in expectation, but for one thing: there, light that passes straight
     through a surface (`null`, `mask`, `thindielectric`) is not counted towards `max_depth`, and next-event estimation looks

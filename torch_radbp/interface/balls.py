@@ -15,7 +15,7 @@ TRIANGLES = 2 * SEGMENTS * (RINGS - 1)
 
 
 class Ball(NamedTuple):
-    """The tessellated sphere that a surface is, or one for each of its instances."""
+    """The placement of a surface that is a tessellated sphere, or of each of its instances."""
 
     placement: Tensor  # (B, 4, 4) from the unit sphere to the world
     turned: tuple[bool, ...]  # of each: triangles are inside out, second and third corner exchanged
@@ -24,9 +24,10 @@ class Ball(NamedTuple):
 class Balls(NamedTuple):
     """The tessellated spheres in a mesh, detached: `TRIANGLES` consecutive triangles each.
 
-    First of each cell, row by row from polar angle 0, the half that has its edge of lesser polar angle, but for the first
-    row; then the others, but for the last row. The diagonal between the halves runs from the cell's corner of least azimuth
-    and polar angle, which is the first of both, to the opposite one: third corner of the ones, second of the others.
+    The cells between circles of latitude are halved into triangles. First come, row by row from polar angle 0, the halves at
+    the lesser polar angle (but in the first row), then the others (but in the last). The diagonal runs from the cell's
+    corner of least azimuth and polar angle, first corner of both halves, to the opposite one: third corner of the first
+    halves, second of the others.
     """
 
     first: Tensor  # (B,) int32, first triangle

@@ -51,7 +51,7 @@ class LobeChoice(NamedTuple):
     parts: tuple[LobeChoice, ...] = ()  # the choices of the nested kinds
 
     def is_delta(self, kind: Kind) -> Tensor:
-        """(N,) bool: a delta lobe was picked; `kind` is the one that picked it."""
+        """(N,) bool: the chosen lobe is a delta lobe; `kind`: the BSDF whose lobe it is."""
         return torch.full_like(self.lobe, kind.delta, dtype=torch.bool) if self.delta is None else self.delta
 
 
@@ -81,12 +81,12 @@ class Kind(ABC):
 
     @property
     def bending(self) -> tuple[int, ...]:
-        """The indices of the values on which those directions depend that hybrid sampling differentiates."""
+        """The indices of the values on which those sampled directions depend that sampling="hybrid" differentiates."""
         return self.steering if self.delta or self.follows else ()
 
     @property
     def follows(self) -> bool:
-        """True if hybrid sampling differentiates sampled directions of the smooth lobes, as it does of delta lobes."""
+        """True if sampling="hybrid" differentiates sampled directions of the smooth lobes, as it does of delta lobes."""
         return False
 
     @property
@@ -132,9 +132,9 @@ class Kind(ABC):
         return LobeChoice(torch.zeros_like(wi.z), torch.ones_like(wi.z))
 
     def chance_of_delta(self, values: Values, wi: Vec3) -> Tensor | None:
-        """The probability of delta lobes, where `choose` picks them by all numbers below it and no others; detached.
+        """The probability p of delta lobes, if `choose` picks these exactly by the random numbers below p; detached.
 
-        None if it does not, or if the kind has no other lobes.
+        None if it picks them otherwise, or if there are no other lobes.
         """
         return None
 
@@ -147,7 +147,7 @@ class Kind(ABC):
         return None
 
     def specular(self, values: Values, wi: Vec3, choice: LobeChoice) -> Vec3:
-        """The weight of the chosen delta lobe, not divided by the choice's probability; attached. Elsewhere any number."""
+        """The weight of the chosen delta lobe, not divided by its probability, attached; any number for smooth lobes."""
         raise TypeError(f"{type(self).__name__} has no delta lobe: use eval")
 
     def spread(self, values: Values, wi: Vec3, choice: LobeChoice) -> Tensor | None:
@@ -158,20 +158,20 @@ class Kind(ABC):
         return None
 
     def adjoint(self) -> Kind:
-        """The kind as paths sample it that begin at lamps: wi is then towards the lamp, wo towards the camera.
+        """The scattering functions for paths that begin at lamps: wi points towards the lamp and wo towards the camera.
 
-        Only where `sample` and its density differ, and `choose` and `specular` with these, is it another than this; `eval`
-        is that of radiance still, whose first direction is towards the camera.
+        It is another than this only if `sample` and its density, and with these `choose` and `specular`, differ; `eval` is
+        still that of radiance, whose first direction points towards the camera.
         """
         nested = {name: part.adjoint() for name, part in vars(self).items() if isinstance(part, Kind)}
         return replace(self, **nested) if nested else self
 
     def null_transmission(self, values: Values, wi: Vec3) -> tuple[Vec3, Tensor]:
-        """The share of light that passes straight, attached, and the probability that `choose` picks that, detached."""
+        """The share of light that passes straight, attached, and the probability that `choose` lets it pass so, detached."""
         return Vec3.full(wi.z, 0.0), torch.zeros_like(wi.z)
 
     def chooses_null(self, choice: LobeChoice) -> Tensor:
-        """(N,) bool: the chosen lobe lets light pass straight."""
+        """(N,) bool: the chosen lobe lets light pass straight through."""
         return torch.full_like(choice.lobe, self.invisible, dtype=torch.bool)
 
     def diffuse_reflectance(self, values: Values, wi: Vec3) -> Vec3:
@@ -188,7 +188,7 @@ class Kind(ABC):
 
 
 class DeltaKind(Kind):
-    """A kind with delta lobes only: ideal specular scattering, which light sampling cannot find."""
+    """A BSDF with delta lobes only: ideal specular scattering, which light sampling cannot find."""
 
     delta: ClassVar[bool] = True
     smooth: ClassVar[bool] = False
@@ -241,7 +241,7 @@ def either(condition: Tensor, first: Tensor | None, second: Tensor | None) -> Te
 
 
 def above(w: Vec3) -> Vec3:
-    """`w` mirrored to the side of the normal, to keep one-sided kinds finite where they are black."""
+    """`w` mirrored to the side of the normal, to keep one-sided BSDFs finite where they are black."""
     return Vec3(w.x, w.y, w.z.abs())
 
 

@@ -57,7 +57,7 @@ class Aim(NamedTuple):
 
 
 class Surrounding(NamedTuple):
-    """What the rays of a lamp may be wanted for; detached."""
+    """The scene and the parts of it that rays from a lamp should reach; detached."""
 
     around: BoundingSphere  # around the scene
     targets: tuple[BoundingSphere, ...]  # around what rays must meet first; none: rays in all directions are wanted
@@ -129,12 +129,12 @@ class LightKind(ABC):
         """
 
     def emit(self, table: Table, proposal: Table, pick: Pick, numbers: RayNumbers, world: Surrounding) -> Aim:
-        """Samples a ray of the light in row `pick.row`; attached to the table. Light from far away comes through discs.
+        """Samples a ray that leaves the light in row `pick.row`, if distant through a disc; attached to the table.
 
         Args:
-            numbers: decide, beside `pick`; with `met`, of kinds that are `aimed`, the rays' derivatives are those of rays to
-                these points, and their density has none.
-            world: what rays are wanted for.
+            numbers: uniform numbers beside those of `pick`; with `met`, of kinds that are `aimed`, the rays' derivatives are
+                those of rays to these points, and their density has none.
+            world: what rays should reach.
 
         Returns:
             `d`: the direction in which it leaves, `target`: the point at which it does, `pdf`: their density over solid
@@ -178,7 +178,7 @@ class SurfaceKind(LightKind):
     on_surface: ClassVar[bool] = True
 
     def check(self, triangles: EmittingTriangles) -> None:
-        """Raises ValueError if the surfaces cannot carry such an emitter."""
+        """Raises ValueError if the surfaces cannot carry an emitter of this kind."""
 
     @abstractmethod
     def source(self, middle: Tensor, axis: Tensor) -> ShadowSource:
@@ -221,11 +221,11 @@ class Light(Emitter):
     sampling_weight: float
 
     def picture_jumps(self) -> tuple[JumpLines, ...]:
-        """The lines of its projected image along which that is discontinuous."""
+        """The lines along which the emitter's projected image is discontinuous."""
         return ()
 
     def picture_ends(self) -> bool:
-        """True if it projects an image at whose border the light is discontinuous."""
+        """True if the emitter projects an image at whose border the light is discontinuous."""
         return False
 
     def kind(self) -> LightKind:
@@ -250,7 +250,7 @@ class Light(Emitter):
 
 
 def stacked(records: Sequence[Table], like: Tensor) -> Table:
-    """Records of () tensors as one record of columns; the columns of one record stay."""
+    """Stacks records of () tensors into one record of columns; a record that holds columns already is returned as it is."""
     first = records[0]
     if isinstance(first, Tensor):
         column = first if first.ndim else torch.stack(tuple(records))

@@ -22,7 +22,7 @@ LEAST_LENGTH = 1e-3  # of the mean of some unit vectors: shorter ones have no ax
 
 
 class LightBounds(NamedTuple):
-    """Bounds of K lights, (K,); detached."""
+    """Bounds of K lights' position, intensity and directions, (K,); detached."""
 
     middle: Vec3  # centre of the bounding sphere, world space
     radius: Tensor

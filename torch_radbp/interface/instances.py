@@ -37,11 +37,11 @@ class Instances(NamedTuple):
         return [end - start for start, end in pairwise(self.first_instance)]
 
     def shown_triangles(self) -> int:
-        """The number of triangles that instances show, those of every instance counted."""
+        """The number of triangles that instances show, those of a group once for each instance."""
         return sum((end - start) * count for (start, end), count in zip(pairwise(self.first_triangle), self.counts()))
 
     def triangles(self) -> int:
-        """The number of triangles with those of every instance counted."""
+        """The number of triangles of the whole scene, those of a group once for each instance."""
         return self.first_triangle[0] + self.shown_triangles()
 
 

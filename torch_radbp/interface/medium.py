@@ -25,7 +25,7 @@ Table = Any  # a NamedTuple of columns
 
 
 class MediumWay(NamedTuple):
-    """The way of rays through one medium, (N,) each; detached."""
+    """The segments of rays inside of one medium, (N,) each; detached."""
 
     length: Tensor
     # Of heterogeneous media an estimate of what is left, by colour (where flights are sampled, divided by the
@@ -35,7 +35,7 @@ class MediumWay(NamedTuple):
 
 
 class EmissionCandidate(NamedTuple):
-    """A place that is picked evenly on the ways of rays through heterogeneous media, so far, (N,) each; detached."""
+    """A point sampled uniformly on each ray's way through heterogeneous media up to now, (N,) each; detached."""
 
     t: Tensor  # distance to it
     left: Vec3  # there, as in `Tracking`, over the same number
@@ -59,7 +59,7 @@ class Tracking(NamedTuple):
 
 @dataclass(frozen=True)
 class MediumKind:
-    """The functions of one kind of medium; those behind `transmittance` are of media that scatter."""
+    """The functions of one kind of medium; those that follow `transmittance` are called for media that scatter."""
 
     scatters: ClassVar[bool] = False
     heterogeneous: ClassVar[bool] = False  # free flights are sampled by tracking; else `transmittance` is in closed form
@@ -88,8 +88,8 @@ class MediumKind:
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
-        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: by each of the
-        three colours, of which `v` chooses one with equal probability, from 0 to 1 in turn."""
+        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: for each of the
+        three colours by which it may sample, of which `v` in [0, 1) chooses one, by thirds."""
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def emitted(self, table: Table, p: Vec3) -> Vec3:
@@ -99,12 +99,12 @@ class MediumKind:
         return self.emission.eval(table.emission, p)
 
     def sample_emission(self, table: Table, ray: Ray, way: Tensor, u: Tensor, v: Tensor) -> tuple[Tensor, Vec3]:
-        """Distances on the way at which it is looked at what the medium emits, (N,), and their density over length by each
-        of the three colours. Detached; args as for `sample_flight`. Of media whose `transmittance` is in closed form."""
+        """Samples distances at which the medium's emission is evaluated, (N,), with their density over length by each of the
+        three colours; detached. Args as for `sample_flight`. For media whose `transmittance` has a closed form."""
         raise TypeError(f"{type(self).__name__} emits nothing")
 
     def enter(self, table: Table, ray: Ray, segment: Tensor) -> tuple[Tensor, Tensor]:
-        """Distances between which rays are in a heterogeneous medium, (N,); empty if the second is not more.
+        """Distances at which rays enter and leave a heterogeneous medium, (N,) each; they miss it if the second is not more.
 
         Args:
             table, ray: as for `sample_flight`.
@@ -118,18 +118,18 @@ class MediumKind:
         Args:
             table, ray, segment: as for `enter`.
             v: (N,) chooses the colour that decides, as for `sample_flight`.
-            tracking: (N,) so far.
-            flies: rays may scatter; else they do not, and only what is left is estimated.
+            tracking: (N,) the state of the rays so far.
+            flies: rays may scatter; else only the transmittance is estimated.
         """
         raise TypeError(f"{type(self).__name__} is not heterogeneous")
 
     def sampled_for_derivatives(self, table: Table, extent: Tensor, of_image: bool) -> Table:
-        """The table by which paths are sampled whose samples are of the derivative.
+        """The table of the medium by which paths for the derivative are sampled.
 
         Args:
             table: of the medium.
             extent: () of the scene.
-            of_image: they are of the image, too.
+            of_image: the same paths estimate the image, too.
         """
         return table
 
@@ -166,5 +166,5 @@ def colour_chosen(values: Vec3, v: Tensor) -> Tensor:
 
 
 def mean_of_colours(values: Vec3) -> Tensor:
-    """The mean over colours, (N,)."""
+    """The mean over the three colours, (N,)."""
     return (values.x + values.y + values.z) / 3.0

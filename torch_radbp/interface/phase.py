@@ -43,7 +43,7 @@ class PhaseKind(ABC):
 
 @dataclass(frozen=True)
 class CosineKind(PhaseKind):
-    """One that depends on the cosine of the angle by which light turns, and on nothing else: 1 goes straight on."""
+    """A phase function that depends on the cosine of the scattering angle alone: 1 is straight on."""
 
     @abstractmethod
     def of_cosine(self, table: Table, cosine: Tensor) -> tuple[Tensor, Tensor]:
@@ -63,7 +63,7 @@ class CosineKind(PhaseKind):
 
 
 class PhaseFunction(Phase):
-    """What a phase function's plugin gives to media."""
+    """Base class of phase functions' plugins: what they give to media."""
 
     def extreme_areas(self) -> tuple[Tensor | float, Tensor | float]:
         """Bounds of `PhaseKind.projected_area` from above and from below, detached."""
@@ -74,14 +74,14 @@ class PhaseFunction(Phase):
         return True
 
     def kind(self) -> PhaseKind:
-        """The functions."""
+        """The functions that evaluate and sample the phase function."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def row(self) -> Table:
-        """The numbers: a record of () tensors, or of columns, attached."""
+        """The phase function's parameters: a record of () tensors, or of columns, attached."""
         return ()
 
 
 def entry(column: Tensor, like: Tensor) -> Tensor:
-    """The only entry of a column, for every lane."""
+    """The only entry of a column, repeated for every lane."""
     return lookup(column, torch.zeros_like(like, dtype=torch.int32))

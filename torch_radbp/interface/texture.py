@@ -23,7 +23,7 @@ LUMINANCE = (0.212671, 0.715160, 0.072169)  # weights of linear RGB, ITU-R BT.70
 
 @lru_cache(maxsize=16)
 def luminance_weights(dtype: torch.dtype, device: torch.device) -> Tensor:
-    """`LUMINANCE` on a device, (3,)."""
+    """(3,) the weights of linear red, green and blue in the luminance, on a device."""
     with torch.inference_mode(False):
         return torch.tensor(LUMINANCE, dtype=dtype, device=device)
 
@@ -74,7 +74,7 @@ def bank_of(reader: Reader, textures: Sequence[Texture], dtype: torch.dtype, dev
 
 @dataclass(frozen=True)
 class TableReader(Reader):
-    """Looks up textures that are tables, within compiled code."""
+    """Looks up textures that are stored as tables, within compiled code."""
 
     @abstractmethod
     def read(self, bank: Any, row: Tensor, point: TexturePoint) -> Vec3:
@@ -105,7 +105,7 @@ class OutsideReader(Reader):
         """The input of the texture, from the position and the uv of a surface point."""
 
     def value(self, given: Vec3, point: TexturePoint) -> Vec3:
-        """The value that the material reads, from the one computed at the point."""
+        """The value that the material gets: the one computed for the point, or for `SlopeOf` a slope made of it."""
         return given
 
 
@@ -123,7 +123,7 @@ class TextureValue(NamedTuple):
     slopes: tuple[Vec3, ...] = ()  # derivatives by each coordinate of the input, detached; empty: the input is detached
 
     def at(self, place: Vec2 | Vec3) -> Vec3:
-        """The value, attached to its input as well, by the slopes."""
+        """The value, attached to the texture's input `place` as well, by the slopes."""
         value = self.value
         for slope, coordinate in zip(self.slopes, place):
             value = value + slope * (coordinate - coordinate.detach())

@@ -38,18 +38,18 @@ class VolumeKind(ABC):
 
 
 class VolumeFunction(Volume):
-    """What a volume's plugin gives to those that read it."""
+    """Base class of volumes' plugins: what they give to media, phase functions and textures."""
 
     def kind(self) -> VolumeKind:
-        """The functions."""
+        """The functions that evaluate the volume."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def table(self, dtype: torch.dtype | None = None, device: torch.device | None = None) -> Table:
-        """The values: a record of columns, attached; None: as the parameters have them."""
+        """The volume's data: a record of columns, attached; None: dtype or device of the parameters."""
         raise TypeError(f"{type(self).__name__} does not define its table")
 
     def channels(self) -> int:
-        """The number of channels."""
+        """The number of channels of the volume's values."""
         raise TypeError(f"{type(self).__name__} does not define its channels")
 
     def entries(self) -> dict[str, Tensor]:
@@ -57,7 +57,7 @@ class VolumeFunction(Volume):
         return {}
 
     def samples(self) -> Tensor:
-        """The values, (..., C), between which all others lie, attached."""
+        """The stored values, (..., C), whose range contains all that `eval` returns; attached."""
         values, = self.entries().values()
         return values
 
@@ -67,8 +67,8 @@ class VolumeFunction(Volume):
         return largest, least
 
     def cells(self) -> tuple[Tensor | None, Tensor]:
-        """The entries of cells, (C, Z, Y, X), detached, between whose centres values are interpolated, and which go on
-        beyond the unit cube; None: values are not so. And (3, 4) the transform from the world to that cube."""
+        """The grid, (C, Z, Y, X), detached, between whose cells' centres values are interpolated, continued beyond the unit
+        cube (None: there is no grid); and (3, 4) the transform from the world to that cube."""
         largest, _ = self.extremes()
         return None, torch.eye(4, dtype=largest.dtype, device=largest.device)[:3]
 

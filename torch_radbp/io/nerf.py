@@ -112,7 +112,7 @@ def left_out(path: str | os.PathLike) -> str:
 
 
 def missing_of(missing: str) -> str:
-    """Checks the option that says what to do with missing images."""
+    """Checks the option `missing`, what to do with missing images, and returns it."""
     if missing not in MISSING:
         raise ValueError(f"missing must be {' or '.join(map(repr, MISSING))}, got {missing!r:.60}")
     return missing
@@ -128,7 +128,7 @@ class NerfFrame(NamedTuple):
 
 
 def frames_of(path: Path, document: dict[str, Any]) -> list[NerfFrame]:
-    """The frames of a document, each with a name of its own.
+    """The frames of a document, whose names all differ.
 
     Raises:
         SceneError: names the frame that is none.
@@ -152,7 +152,7 @@ def frames_of(path: Path, document: dict[str, Any]) -> list[NerfFrame]:
 
 
 def given_of(document: dict[str, Any], frame: NerfFrame) -> dict[str, Any]:
-    """The camera entries for a frame: its own, or else those of the document."""
+    """The camera entries of a frame: those in the frame, else those for the whole document."""
     of_frame = {key: frame.entry[key] for key in INTRINSICS if frame.entry.get(key) is not None}
     said = {*of_frame}.union(*(keys for keys in TOGETHER if any(key in of_frame for key in keys)))
     return of_frame | {key: document[key] for key in INTRINSICS if document.get(key) is not None and key not in said}

@@ -38,7 +38,7 @@ class Intrinsics(NamedTuple):
 
 
 class SensorAttributes(CameraAttributes, total=False):
-    """Keyword arguments of the sensors of calibrations that no calibration contains."""
+    """Keyword arguments for sensors made from calibrations, which themselves do not contain these."""
 
     rfilter: ReconstructionFilter | str | None
 

@@ -54,7 +54,7 @@ class Meshes:
         self.materials: dict[int, Any] = {}
 
     def of(self, name: str, shape: Surface) -> trimesh.Trimesh:
-        """Converts a shape, in world space or in the space of its group."""
+        """Converts a shape to a trimesh mesh, in world space or in the space of its group."""
         import trimesh
         surface = shape.oriented()
         appearance = self.appearances.of(shape, is_upright_in_v(surface))
@@ -96,7 +96,7 @@ class Meshes:
         return self.materials[number]
 
     def made(self, entries: dict[str, Any]) -> Any:
-        """Converts a material; notes what trimesh has no entry for."""
+        """Converts a glTF material to trimesh's; notes what trimesh has no entry for."""
         from trimesh.visual.material import PBRMaterial
         flat = {**entries, **entries["pbrMetallicRoughness"]}
         extensions = flat.pop("extensions", {})
@@ -136,7 +136,7 @@ def array_of(values: Tensor) -> np.ndarray:
 
 
 def mesh_of_shape(shape: Surface) -> trimesh.Trimesh:
-    """Converts a shape to a mesh, for `Surface.to_trimesh`."""
+    """Converts a shape to a `trimesh.Trimesh`, for `Surface.to_trimesh`."""
     with torch.no_grad():
         meshes = Meshes(shape)
         mesh = meshes.of(shape.id or shape.type, shape)
@@ -145,7 +145,7 @@ def mesh_of_shape(shape: Surface) -> trimesh.Trimesh:
 
 
 def scene_of_scene(scene: Scene) -> trimesh.Scene:
-    """Converts a scene, for `Scene.to_trimesh`."""
+    """Converts a scene to a `trimesh.Scene`, for `Scene.to_trimesh`."""
     import trimesh
     meshes, converted = Meshes(scene), trimesh.Scene()
 

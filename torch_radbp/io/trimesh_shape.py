@@ -65,8 +65,8 @@ class Looks:
     """The looks of meshes, one for each distinct material.
 
     Args:
-        losses: filled in.
-        names: of the scene that are given away.
+        losses: what cannot be represented is added to them.
+        names: those in use in the scene.
         children: of the scene; materials are added.
     """
 

@@ -218,7 +218,7 @@ class _Writer:
         return element
 
     def new_id(self, name: str) -> str:
-        """An id that no other object has, without the dots that Mitsuba refuses."""
+        """An id made of `name` that no other object has, without the dots that Mitsuba refuses."""
         unused = name.replace(".", "_")
         while unused in self.used:
             unused += "_"
@@ -283,7 +283,7 @@ def _equal(value: Any, other: Any) -> bool:
 
 
 def _value_element(name: str, value: Any, annotation: Any, place: str) -> ElementTree.Element:
-    """The XML of a plain value."""
+    """The XML of a plain value, such as a number, a vector or a transform."""
     kinds = options(annotation)
     if Matrix4 in kinds:
         element = ElementTree.Element("transform", name=name)

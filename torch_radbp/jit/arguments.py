@@ -27,15 +27,15 @@ counter = itertools.count()
 
 
 class Form:
-    """The structure of one argument, with a generated function that takes it apart.
+    """The structure of one argument, with a generated function that extracts its tensors.
 
     Args:
-        argument: one that has it.
-        leaves: the tensors of the argument.
-        structure: as `flatten` tells it.
-        number: by which the structure, and how columns lie, are told from others.
+        argument: one with this structure.
+        leaves: its tensors.
+        structure: its key by `flatten`.
+        number: identifies the structure together with the layout of columns.
         table: whether tensors of shape (N,) are tables.
-        columns: as of `_columns_of`.
+        columns: the layouts by `_columns_of`.
     """
 
     __slots__ = ("structure", "number", "table", "columns", "unpack", "types", "dtypes", "itemsizes", "dimensions", "kinds",
@@ -124,7 +124,7 @@ def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column |
 
     Args:
         leaf: any tensor.
-        blocks: the numbers of rows that were met, by address of the memory, first row in it and width; added to.
+        blocks: numbers of the blocks of rows met so far, by memory address, first row in it and width; added to.
     """
     if leaf.is_contiguous() or leaf.dim() != 1 or leaf.itemsize != 4 or leaf.data_ptr() % 4:
         return None
@@ -137,10 +137,10 @@ def column_of(leaf: Tensor, blocks: dict[tuple[int, int, int], int]) -> Column |
 
 
 class PreparedArgument:
-    """An argument that was taken apart, for one call or for several with the very same object.
+    """An argument split into its tensors and structure, for one call or for several with the very same object.
 
     Args:
-        parameter: that it belongs to, or others of whatever function; all hold tables, or all tensors of lanes.
+        parameter: to which it belongs. It then fits parameters of any function that hold tables, or lanes, as this does.
         argument: nested tuples and lists of tensors, and of anything hashable.
 
     Raises:
@@ -199,12 +199,12 @@ def elsewhere(parameter: Parameter, device: torch.device, other: torch.device) -
 
 
 class Arguments:
-    """The arguments of one call (or its first ones), taken apart.
+    """The arguments of one call (or its first ones), split into tensors and structures.
 
     Args:
         parameters: of the function, those that the arguments belong to.
         arguments: each as it is, or `PreparedArgument`.
-        known: the arguments that stand before these.
+        known: the arguments that come before these, already taken apart.
 
     Raises:
         ValueError, RuntimeError: as for `PreparedArgument`.

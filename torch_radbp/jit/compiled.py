@@ -92,7 +92,7 @@ def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, tar
     Args:
         function: in plain torch.
         tables: the parameters that hold tables.
-        given: arguments of the structure in question.
+        given: arguments with the structure for which it is compiled.
         target: that it is compiled for.
     """
     structures = tuple((form.structure, *map(_plain, form.columns)) for form in given.forms)
@@ -103,13 +103,13 @@ def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, tar
 
 
 def _plain(column: Column | None) -> tuple[int, ...] | None:
-    """A table's column layout as a tuple."""
+    """A table's column layout as a plain tuple, for keys."""
     return None if column is None else tuple(column)
 
 
 @functools.cache
 def compiler() -> tuple[str, ...]:
-    """The versions that compiled code depends on: of libraries, this package's source, and its view of torch."""
+    """The versions of all that compiled code depends on: of libraries, Python, and this package's source as a digest."""
     digest, here = hashlib.sha256(), Path(__file__).parent
     files = sorted(path for folder in (here, here.parent / "threads") for path in folder.rglob("*.py"))
     for path in (*files, Path(torch_internals.__file__), Path(interleaved.__file__)):
@@ -146,7 +146,7 @@ def compiled_program(name: str | None, interface: Interface, program: Program, t
 
 
 def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
-    """A compiled function from code that is loaded at the first run, or before; without outputs there is none."""
+    """A compiled function whose machine code is loaded at the first run, or in the background; no code without outputs."""
     loop = Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None
     return Compiled(interface, loop.meanwhile() if loop is not None and target.loads_ahead else loop)
 

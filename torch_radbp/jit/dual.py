@@ -63,11 +63,11 @@ def with_tangents(function: Callable) -> Callable:
 
 
 def completed(values: Any, tangents: Any, asked: tuple[bool, ...] | None) -> tuple[Any, Any]:
-    """Values and tangents, with zeros for missing tangents that are asked for.
+    """Values and tangents, with zeros for missing tangents that `asked` wants.
 
     Args:
         values, tangents: as of `values_and_tangents`.
-        asked: of each leaf, whether its tangent is; None: as they are.
+        asked: whether each leaf shall have a tangent; None: those that have one.
 
     Raises:
         ValueError: if there are tangents that are not asked for.
@@ -109,13 +109,13 @@ class DualFunction:
         self.known_parts: DualParts | None = None
 
     def knowing(self, *arguments) -> DualFunction:
-        """Prepares first arguments as `LaneFunction.knowing` does; for one dual level."""
+        """Prepares the first arguments for several calls within one dual level, as `LaneFunction.knowing` does."""
         other = copy(self)
         other.known, other.known_parts = arguments, None
         return other
 
     def parts(self, arguments: tuple) -> DualParts:
-        """Splits arguments into values and tangents; prepared ones only once."""
+        """Splits arguments into values and tangents; those prepared by `knowing` are split once for all calls."""
         if not self.known or not all(map(operator.is_, self.known, arguments)):
             return DualParts.of(arguments)
         if self.known_parts is None:

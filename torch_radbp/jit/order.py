@@ -15,7 +15,7 @@ from torch_radbp.jit.target import Target, target_of
 
 
 def mover(lanes: Tensor) -> Target | Recording:
-    """What moves lanes: the target of their device, or what listens to this thread."""
+    """What does these operations: the target of the lanes' device, or the recording that listens to this thread."""
     return recording() or target_of(lanes.device)
 
 
@@ -25,12 +25,12 @@ def chosen(flags: Tensor) -> Tensor:
 
 
 def inverted(flags: Tensor) -> Tensor:
-    """(N,) bool, true where `flags`, (N,) bool, are not; of flags that carry no derivative, as none does."""
+    """The negation of `flags`, (N,) bool."""
     return mover(flags).inverted(flags)
 
 
 def nothing(flags: Tensor) -> Tensor:
-    """As many flags, all false."""
+    """(N,) bool, false for every lane of `flags`."""
     return mover(flags).nothing(flags)
 
 
@@ -59,12 +59,12 @@ def in_order(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor,
 
 
 def repeated(lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
-    """Does something with some lanes, then with those of them that go on, until none do.
+    """Calls a function with some lanes, then with those that it returns, until it returns none.
 
     Args:
         lanes: (M,) int32.
-        function: of these; returns those that go on. What it does is kept only where it is written into tensors that were
-            there before.
+        function: takes lanes, and returns those of them that go on. Its results are kept only if they are written into
+            tensors that existed before.
     """
     if (listener := recording()) is not None:
         listener.repeated(lanes, function)
@@ -92,7 +92,7 @@ def put(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> 
 
     Args:
         targets: (K,) each, contiguous, written into.
-        place: (N,) int32, tells no place twice; that it is inside is not checked.
+        place: (N,) int32, without duplicates; that it is inside of the targets is not checked.
         entries: (N,) of each target, of its dtype.
 
     Raises:

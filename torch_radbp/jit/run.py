@@ -39,7 +39,7 @@ class LaneFunction:
         function: in plain torch.
         tables: names of its parameters that hold tables.
         target: what to compile for; None: the device that the tensors of a call lie on.
-        repeats: as for `tensors.stage.stage`.
+        repeats: the parameter that a kernel may replace by the results and go on, see `tensors.stage.stage`.
 
     Raises:
         UnknownOperation: when called, if the function comes down to an operation that is not one of lanes.
@@ -65,23 +65,23 @@ class LaneFunction:
         self.first_arguments: Arguments | None = None
 
     def knowing(self, *arguments) -> LaneFunction:
-        """The same function, with its first arguments taken apart for calls with the very same objects.
+        """A copy of this function that prepares its first arguments for calls with the very same objects.
 
-        It keeps them alive. With others it does what this one does; what is compiled serves both.
+        It keeps them alive, and accepts other objects, too; compiled code serves both functions.
         """
         other = copy(self)
         other.first_arguments = Arguments(self.parameters, arguments)
         return other
 
     def taken(self, **arguments) -> tuple[PreparedArgument, ...]:
-        """Takes arguments, given by name, apart once for several calls.
+        """Prepares arguments, given by name, once for several calls.
 
         What is written into their tensors in between counts, unless these are not contiguous or not aligned.
         """
         return tuple([PreparedArgument(self.named[name], argument) for name, argument in arguments.items()])
 
     def room(self, results) -> PreparedArgument:
-        """Takes the tensors of results apart once for several calls of `into`."""
+        """Prepares the tensors that receive results once for several calls of `into`."""
         return PreparedArgument(self.results, results)
 
     def __call__(self, *arguments):
@@ -151,7 +151,7 @@ class LaneFunction:
         return compiled, given
 
     def check_room(self, room: PreparedArgument, compiled: Compiled, given: Arguments, entries: int) -> None:
-        """Raises the errors about results that `into` names."""
+        """Raises ValueError unless `room` can receive the results of a call, as `into` says."""
         structure = room.form.structure
         if structure is not compiled.structure:
             if structure != compiled.structure:
@@ -183,7 +183,7 @@ class LaneFunction:
         return compiled_functions.compiled_program(name, interface, program, target)
 
     def program(self, *arguments) -> Program:
-        """Traces the function for such arguments."""
+        """Traces the function to a program, for arguments of this structure."""
         return self.traced(Arguments(self.parameters, arguments))[0]
 
     def traced(self, given: Arguments, repeating: bool = False) -> tuple[Program, Interface]:
@@ -191,7 +191,7 @@ class LaneFunction:
 
         Args:
             given: the arguments.
-            repeating: what can be repeated by a kernel is.
+            repeating: whether a kernel repeats what it can.
 
         Raises:
             UnknownOperation: if it comes down to an operation that is not one of lanes.
@@ -222,15 +222,15 @@ class LaneFunction:
         return program, Interface(inputs, program.searched, dtypes, results, shape, of_lanes(structure))
 
     def repetition(self, given: Arguments, results: Sequence[int], running: int) -> Repetition:
-        """How the function is repeated: which tables its outputs are of the next turn.
+        """How the function is repeated: which outputs replace which entries of tables in the next repetition.
 
         Args:
-            given: its arguments.
-            results: the output that each result is.
-            running: the number of the result that tells whether lanes go on.
+            given: the function's arguments.
+            results: the index of each result among the program's outputs.
+            running: the index of the result that tells whether lanes go on.
 
         Raises:
-            ValueError: if what it returns does not have the structure of the argument, or leaves of that are the same.
+            ValueError: unless it returns as many tensors as the repeated argument has, which must all differ.
         """
         number = list(self.named).index(self.repeats)
         first = sum(len(form.kinds) for form in given.forms[:number])

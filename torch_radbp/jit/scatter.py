@@ -47,7 +47,7 @@ def scatter_add(additions: Sequence[Addition]) -> None:
 
 
 def _check(addition: Addition, lanes: int, device: torch.device) -> None:
-    """Raises the errors that `scatter_add` names."""
+    """Raises ValueError unless the tensors of an addition fit together, as `scatter_add` says."""
     index, numbers, sums = addition
     dtype = numbers[0].dtype
     right = (len(numbers) == len(sums.totals) and index.dtype == torch.int32 and index.numel() == lanes and dtype in SCALARS

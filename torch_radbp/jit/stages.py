@@ -94,7 +94,7 @@ class CompiledStages:
         return stage
 
     def target_on(self, device: torch.device) -> Target:
-        """What stages are compiled for whose tensors lie on a device."""
+        """The target for which stages are compiled if their tensors lie on a device."""
         return target_of(device) if self.target is None else self.target
 
     def __iter__(self) -> Iterator[CompiledStage]:
@@ -104,7 +104,7 @@ class CompiledStages:
 
 @made_once
 def compiled() -> CompiledStages:
-    """The compiled stages of this process."""
+    """The `CompiledStages` that all renderings of this process share."""
     keep_freed_memory()
     return CompiledStages()
 

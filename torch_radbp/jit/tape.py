@@ -50,7 +50,7 @@ Step = Callable[..., Played]  # of the arguments
 
 
 class Taped(NamedTuple):
-    """A recorded step."""
+    """A recorded step, with what a call returns beside tensors."""
 
     recorded: Recorded | RecordedLaunches
     counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
@@ -59,7 +59,7 @@ class Taped(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A recorded step that passes its results on to the next one."""
+    """A recorded step that hands its results on to the next one, see `Tape.link`."""
 
     recorded: Recorded
     handed: Handed
@@ -67,7 +67,7 @@ class Link(NamedTuple):
 
 
 class Recordings:
-    """Recordings by a key of all that they depend on; None for what cannot be recorded."""
+    """A cache of recordings by keys of all that they depend on; None for what cannot be recorded."""
 
     def __init__(self) -> None:
         self.known: dict[tuple, Any] = {}
@@ -75,7 +75,7 @@ class Recordings:
         self.making, self.numbers = Lock(), itertools.count()
 
     def kind(self, *parts) -> int:
-        """A number for parts of a key that are slow to compare; they are kept alive."""
+        """A number that stands for parts of a key that are slow to compare; the parts are kept alive."""
         return self.kinds.setdefault(parts, next(self.numbers))
 
     def of(self, key: tuple, make: Callable[[], Any]) -> Any:
@@ -98,13 +98,13 @@ class Tape:
     """Records and replays steps that read the same tables.
 
     Args:
-        tables: tensors, and addresses, that steps read beside their arguments; scenes may have others of the same kind.
-        kind: all else that steps depend on.
-        contexts: of what steps do outside, see `recording.outside`.
-        board: of the helpers; None: on the CPU nothing is played, only recorded.
-        caster: of the rays; None: none are cast.
+        tables: tensors, and addresses, that steps read beside their arguments; another scene brings others of its own.
+        kind: all else on which steps depend.
+        contexts: of steps' work outside of machine code, see `recording.outside`.
+        board: of the helper threads; None: on the CPU nothing is played, only recorded.
+        caster: casts the steps' rays; None: none are cast.
         target: on which steps are played; None: that of the device of the tables.
-        repetitions: in sequences of launches; None: what is repeated is recorded as such.
+        repetitions: how often launches repeat operations; None: a repeated operation is recorded as one.
     """
 
     def __init__(self, tables: Sequence[Tensor | int], kind: Sequence[Hashable] = (), contexts: Sequence[Any] = (),
@@ -121,24 +121,24 @@ class Tape:
         self.kinds: dict[Hashable, int] = {}  # of arguments, by their names
 
     def rest(self) -> None:
-        """Lets the helpers go, if there are any."""
+        """Dismisses the helper threads, if there are any."""
         if self.board is not None:
             self.board.close()
 
     def play(self, key: tuple, step: Step, arguments: tuple, count: int | LaneCount, blank: Callable | None = None,
              name: Hashable = None, counts: Sequence[int | LaneCount] = (), waits: bool = True) -> Played | None:
-        """What a step returns of its arguments; None if it cannot be recorded, and is to be called.
+        """Records a step, or plays its recording, and returns the results; None if it cannot be recorded, only called.
 
         Args:
             key: hashable; what the step does depends on nothing else but the tape and the structure of the arguments.
-            step: is called with arguments without contents to record it.
-            arguments: records; tensors with entries have one for each of some lanes.
-            count: of all lanes, at least 1.
-            blank: makes the arguments that are recorded, of these, a `Reserve` and, if there are any, what stands for
+            step: to record it, it is called with arguments without contents.
+            arguments: records, whose tensors are () or have an entry for each of some lanes.
+            count: the number of all lanes, at least 1.
+            blank: makes arguments without contents, from these, a `Reserve` and, if there are any, numbers that stand for
                 `counts`.
-            name: arguments of one name have one structure, which is then told once; None: it is told each time.
+            name: all arguments of one name have one structure, which is looked at once; None: it is looked at each time.
             counts: numbers of lanes that the arguments hold, or where some begin, in ascending order.
-            waits: False: counts that are found on a GPU stay there, and results have room for all lanes.
+            waits: False: numbers of lanes found on a GPU stay there, and results have room for all lanes.
         """
         varying = self.varying(arguments)
         blank = without_contents if blank is None else blank
@@ -159,9 +159,9 @@ class Tape:
         return Played(dual(*results) if taped.dual else results, [numbers[place] for place in taped.counts], taped.constant)
 
     def link(self, key: tuple, step: Step, arguments: tuple, blank: Callable) -> tuple[Link | None, RecordedInputs]:
-        """Records a step whose results are the first argument of the next one, tile by tile; None if it cannot be recorded.
+        """Records a step whose results are handed to the next one, tile by tile of lanes; None if it cannot be recorded.
 
-        Args are as for `play`; None: it cannot be recorded.
+        Also returns the inputs of the recording. Args: as for `play`.
         """
         varying = self.varying(arguments)
         link = self.kept(("link", *key), arguments, varying, None, partial(self.record_link, step, arguments, blank))
@@ -184,7 +184,7 @@ class Tape:
         return RECORDINGS.of((kind, varying.pattern, *key), make)
 
     def record(self, step: Step, arguments: tuple, blank: Callable, counts: int, in_place: bool) -> Taped | None:
-        """Records such a step; `in_place`: what is given stands where its lanes do, see `Recording`."""
+        """Records a step; `in_place`: its inputs have room for all lanes, and stand at their lanes' places."""
         reserve = Reserve(self.device)
         borders = Recording([]).borders(counts + 1, ALL)[1:-1] if counts else []
         arguments = blank(arguments, reserve, borders) if counts else blank(arguments, reserve)
@@ -237,7 +237,7 @@ def structure_of(record: Any) -> list:
 
 
 def lying(tables: Sequence[Tensor]) -> tuple:
-    """The memory layout of tables, as far as code depends on it."""
+    """The dtypes, dimensions and strides of tables, as far as compiled code depends on them."""
     blocks: dict[tuple, int] = {}  # of rows that several are columns of
     found = []
     for table in tables:

@@ -39,7 +39,7 @@ class Loop(Protocol):
 
 
 class Target(Protocol):
-    """What lanes are compiled for.
+    """A device for which functions of lanes are compiled.
 
     Attributes:
         counts_stay: numbers of lanes that a recording finds stay on the device, which runs it as launches for all lanes;
@@ -73,17 +73,17 @@ class Target(Protocol):
         """Compiles and loads a program."""
 
     def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded | RecordedLaunches:
-        """A recording, to be done again; args as for `RecordedResults`.
+        """Prepares a recording to be played; args as for `results.RecordedResults`.
 
         Raises:
-            NotRecordable: if it cannot be, the message says why.
+            NotRecordable: if it cannot be played; the message says why.
         """
 
     def chosen(self, flags: Tensor) -> Tensor:
         """The lanes whose flag is set; see `order.chosen`."""
 
     def inverted(self, flags: Tensor) -> Tensor:
-        """Inverts flags; see `order.inverted`."""
+        """Negates the flags of lanes; see `order.inverted`."""
 
     def nothing(self, flags: Tensor) -> Tensor:
         """Flags that are all false; see `order.nothing`."""
@@ -109,5 +109,5 @@ class Target(Protocol):
 
 @functools.cache
 def target_of(device: torch.device) -> Target:
-    """The target for tensors on a device."""
+    """The `Target` for functions whose tensors lie on a device."""
     return Cpu() if device.type == "cpu" else gpu_of(device) if device.type == "cuda" else AnyDevice()

@@ -212,7 +212,7 @@ def handed(recorded: Recorded) -> Handed:
     """The memory layout of a recording's results.
 
     Raises:
-        NotRecordable: if one is what the recording was given, or handed over from outside.
+        NotRecordable: if a result is an input of the recording, or made outside of machine code.
     """
     offsets, results, size = array("q"), array("q"), 0
     for group in recorded.layout.groups:
@@ -231,11 +231,11 @@ def handed(recorded: Recorded) -> Handed:
 
 
 def run_in_tiles(steps: Sequence[TileStep], lanes: int) -> int:
-    """Runs consecutive recordings while lanes go on; returns the number of rays cast.
+    """Runs consecutive recordings tile by tile, while lanes go on; returns the number of rays cast.
 
     Args:
-        steps: the recordings. The results of each are what the next one is given first; the last of them tells who goes on.
-        lanes: of the first, at least 1.
+        steps: the recordings. The results of each are the first inputs of the next; the last result tells which lanes go on.
+        lanes: the number of lanes of the first, at least 1.
     """
     alone, shared = code().address_of("alone"), run_loop()
     alive: list[array] = []

@@ -12,7 +12,7 @@ from torch_radbp.plugin import positive
 
 def two_buffer_log_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None = None,
                       epsilon: float = 1e-2) -> Tensor:
-    """mean((log a - log T) (log b - log T)), all with epsilon added: of ratios, for images of a wide range.
+    """The mean of (log a - log T) (log b - log T), with epsilon added to each: an error of ratios, for a wide range.
 
     The product of two renderings takes their noise apart, and yet it is biased: E[log I] is less than log E[I], by about
     var(I) / (2 (I + epsilon)^2). So an image is made too bright by about that share: with twice as many samples by half of

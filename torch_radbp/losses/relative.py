@@ -11,7 +11,7 @@ from torch_radbp.plugin import positive
 
 def two_buffer_relative_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None = None,
                            epsilon: float = 1e-2) -> Tensor:
-    """mean((image_a - target) (image_b - target) / (image^2 + epsilon)), in which dark and bright things count alike.
+    """The mean of (image_a - target) (image_b - target) / (image^2 + epsilon), in which dark and bright things count alike.
 
     The denominator is detached. In the derivative each residual is weighted by the other image, whose derivative it meets:
     (a - T) db / (b^2 + epsilon). So it is E[I - T] E[dI / (I^2 + epsilon)]: in expectation zero where the image is right,

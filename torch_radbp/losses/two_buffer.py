@@ -9,7 +9,7 @@ from torch_radbp.losses.masked import counted, masked_mean
 
 
 def two_buffer_l2(image_a: Tensor, image_b: Tensor, target: Tensor, mask: Tensor | None = None) -> Tensor:
-    """mean((image_a - target) (image_b - target)) of two independent renderings.
+    """The mean of (image_a - target) (image_b - target) of two independent renderings.
 
     Value and derivative are unbiased at any number of samples. It may be negative: near the optimum it is a difference of
     noises.

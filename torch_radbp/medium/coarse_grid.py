@@ -18,7 +18,7 @@ ABOVE, BELOW = 1.0 + 1e-5, 1.0 - 1e-5  # over the largest value and the least, a
 
 
 class CoarseGrid(NamedTuple):
-    """K cells, x fastest; the other columns have one entry."""
+    """A grid of K cells, x fastest, with bounds of a volume's values in each; other columns have one entry."""
 
     bound: Tensor  # (K,) no value in the cell is larger
     least: Tensor  # (K,) or smaller
@@ -29,7 +29,7 @@ class CoarseGrid(NamedTuple):
 
 
 def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
-    """The coarse grid of a volume, detached."""
+    """Builds the coarse grid of a volume; detached."""
     with torch.no_grad():
         bound, least, to_unit = bounds_of(volume)
         size = bound.shape[::-1]
@@ -42,8 +42,8 @@ def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
 
 
 def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
-    """The largest and the least value by cells (Z, Y, X), and (3, 4) the transform from the world to the unit cube that they
-    divide."""
+    """The largest and the least value in each coarse cell, (Z, Y, X), and the (3, 4) transform from the world to the unit
+    cube that the grid fills."""
     cells, to_unit = volume.cells()
     if cells is None:
         largest, least = volume.extremes()
@@ -55,26 +55,27 @@ def bounds_of(volume: VolumeFunction) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def largest_nearby(cells: Tensor) -> Tensor:
-    """The largest values of (C, Z, Y, X) cells in and beside each coarse cell."""
+    """The largest value in and beside each coarse cell, of (C, Z, Y, X) fine cells."""
     return max_pool3d(cells[:, None], COARSER + 2, stride=COARSER, padding=1, ceil_mode=True)[:, 0]
 
 
 def least_nearby(cells: Tensor) -> Tensor:
-    """The least values likewise; layer by layer, since pooling knows the largest alone, of values with the other sign."""
+    """The least value in and beside each coarse cell, of (C, Z, Y, X) fine cells, by layers, as pooling finds only the
+    largest."""
     layers = [cells[:, max(0, first - 1):first + COARSER + 1] for first in range(0, cells.shape[1], COARSER)]
     return -torch.cat([max_pool3d(-layer[:, None], (layer.shape[1], COARSER + 2, COARSER + 2), stride=COARSER,
                                   padding=(0, 1, 1), ceil_mode=True)[:, 0] for layer in layers], 1)
 
 
 def cell_of(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
-    """The cells in which rays are at distances t, or just ahead of them, (N,) int32."""
+    """The cells of the grid in which rays are at distances t, or just ahead of there, (N,) int32."""
     size, place, change = in_cells(grid, ray, t)
     x, y, z = (cell_along(at, d, count).to(torch.int32) for at, d, count in zip(place, change, size))
     return (z * size[1] + y) * size[0] + x
 
 
 def distance_to_next_cell(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
-    """How far rays at distances t are from leaving the cell that `cell_of` tells, (N,); infinite: they never do."""
+    """How far rays at distances t are from leaving their cell (see `cell_of`), (N,); infinite: they never leave it."""
     size, place, change = in_cells(grid, ray, t)
     nearest = torch.full_like(t, torch.inf)
     for at, d, count in zip(place, change, size):
@@ -88,13 +89,13 @@ def distance_to_next_cell(grid: CoarseGrid, ray: Ray, t: Tensor) -> Tensor:
 
 
 def cell_along(place: Tensor, change: Tensor, count: Tensor) -> Tensor:
-    """The number of the cell along one axis in which rays are, or just ahead of them, (N,) as float."""
+    """The index, along one axis, of the cell in which rays are, or just ahead of there, (N,) as float."""
     ahead = torch.floor(place + torch.copysign(torch.full_like(place, NUDGE), change))
     return torch.minimum(ahead.clamp_min(0.0), (count - 1).to(place.dtype))
 
 
 def in_cells(grid: CoarseGrid, ray: Ray, t: Tensor) -> tuple[tuple[Tensor, ...], list[Tensor], list[Tensor]]:
-    """The size of the grid, the places of rays at distances t in units of cells, and their change with distance."""
+    """The size of the grid, the positions of rays at distances t in units of cells, and the change of these with t."""
     only = torch.zeros_like(t, dtype=torch.int32)
     size, to_cells = lookup(grid.size, only), lookup(grid.to_cells, only)
     change = [dot(row, ray.d) for row, _ in to_cells]

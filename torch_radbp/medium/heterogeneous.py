@@ -43,7 +43,7 @@ THINNEST, THINNEST_OF_DERIVATIVES = 0.05, 0.4
 
 
 class HeterogeneousTable(NamedTuple):
-    """The volumes, attached, and what is known of them."""
+    """The parameters of one heterogeneous medium as compiled code reads them; volumes attached, bounds detached."""
 
     sigma_t: Any  # of its volume
     albedo: Any  # of its volume
@@ -57,7 +57,7 @@ class HeterogeneousTable(NamedTuple):
 
 @dataclass(frozen=True)
 class HeterogeneousKind(MediumKind):
-    """Extinction and albedo are read at every point."""
+    """A medium whose extinction and albedo are read from volumes at every point."""
 
     scatters: ClassVar[bool] = True
     heterogeneous: ClassVar[bool] = True
@@ -105,7 +105,7 @@ class HeterogeneousKind(MediumKind):
 
     def step(self, table: HeterogeneousTable, ray: Ray, last: Tensor, v: Tensor, tracking: Tracking,
              flies: bool) -> Tracking:
-        """Follows rays to the next tentative collision, or the next cell of the coarse grid; `last`: where they leave."""
+        """Follows rays to the next tentative collision or cell of the coarse grid; `last`: distances to where they leave."""
         start, end, left, beyond, seed, running, _ = tracking
         cell, scale, floor = cell_of(table.grid, ray, start), only(table.scale, last), only(table.floor, last)
         # Above what flights are sampled by, so that tentative collisions may be passed wherever light passes.
@@ -140,10 +140,10 @@ class HeterogeneousKind(MediumKind):
 
 
 def with_emission(tracking: Tracking, before: Tracking, first: Tensor, last: Tensor) -> Tracking:
-    """Picks the place at which it is looked at what is emitted: on the latest step with the probability of its share.
+    """Resamples the point at which emission is evaluated: it moves to the latest step with that step's share as probability.
 
-    What is left is the same all along a step, so that the place counts by that before it. Args: rays after and before the
-    step, and where they enter the medium and leave it.
+    Transmittance is the same all along a step, so that the point has that before it. Args: rays after and before the step,
+    and the distances at which they enter and leave the medium.
     """
     emission = before.emission
     assert emission is not None
@@ -215,10 +215,10 @@ class Heterogeneous(Medium):
 
 
 def index(like: Tensor) -> Tensor:
-    """(N,) int32, the only row of a table for every lane."""
+    """(N,) int32 zeros, the index of the only row of a table for every lane."""
     return torch.zeros_like(like, dtype=torch.int32)
 
 
 def only(column: Tensor, like: Tensor) -> Tensor:
-    """The only entry of a column, for every lane."""
+    """The only entry of a column, repeated for every lane."""
     return lookup(column, index(like))

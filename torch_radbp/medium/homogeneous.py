@@ -42,7 +42,7 @@ class HomogeneousTable(NamedTuple):
 
 @dataclass(frozen=True)
 class HomogeneousKind(MediumKind):
-    """Beer's law: what is left falls by the same factor with each unit of length, exp(-sigma_t t)."""
+    """A medium of constant extinction, with the transmittance exp(-sigma_t t) of Beer's law."""
 
     scatters: ClassVar[bool] = True
     phase_function: PhaseKind
@@ -77,7 +77,7 @@ class HomogeneousKind(MediumKind):
         return distance, Vec3(*(each * torch.exp(-each * distance) / all_of_it for each, all_of_it in zip(sigma, lost)))
 
     def spread(self, table: HomogeneousTable, sigma: Vec3, way: Tensor) -> Vec3:
-        """The shares of flights, (N,), that are spread over the way, by the colour that decides."""
+        """The probability, for each colour, that a flight's distance is drawn from the wide density l / (t + l)^2, (N,)."""
         share, extent = everywhere(table.spread, way), everywhere(table.extent, way)
         return sigma.map(lambda each: torch.where((way > LONGEST) & (extent > 0), share * torch.exp(-each * extent), 0.0))
 
@@ -150,16 +150,16 @@ class Homogeneous(Medium):
 
 
 def not_below_zero(sigma: Tensor) -> Tensor:
-    """Extinction that a step of an optimiser has taken below 0 counts as 0, with its derivative."""
+    """The extinction, with negative values (after an optimiser's step) replaced by 0, but with their derivative."""
     return sigma + (sigma.detach().clamp_min(0.0) - sigma.detach())
 
 
 def at_least(sigma: Vec3, way: Tensor, thinnest: float = THINNEST) -> Vec3:
-    """The extinction by which distances are sampled: where there is hardly any, some flights end nevertheless on the way to
-    the next surface. They bring little light, and all of its derivative by an extinction of 0."""
+    """The extinction by which distances are sampled, bounded from below so that some flights always end before the next
+    surface; these have nearly all of the derivative where the extinction is 0."""
     return sigma.map(lambda each: torch.maximum(each, thinnest / way.clamp_min(TINY)))
 
 
 def everywhere(row: Any, like: Tensor) -> Any:
-    """The values of the only row, for every lane."""
+    """The values of a table's only row, repeated for every lane."""
     return lookup(row, torch.zeros_like(like, dtype=torch.int32))

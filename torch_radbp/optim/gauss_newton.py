@@ -22,12 +22,13 @@ FORWARD = 2  # images that take as long as one in forward mode
 SHORT, DOUBLINGS = 1.5, 3  # a step after which the error falls by so many times what is predicted is doubled up to so often
 ATTEMPTS = 5  # of a step, each with ten times the damping
 NOISY = 0.3  # the share of noise in a step from which more samples are asked for
+MOST_NOISE = 0.875  # of J along a step, that the step is lengthened for
 LEAST_ERROR = 1e-3  # of J along a step, below which none counts
 LEAST_DAMPING, FIRST_DAMPING = 1e-9, 1e-3  # of steps that are as good as predicted; after the first that was not
 
 
 class KeptPlace(NamedTuple):
-    """Where and by which samples a Jacobian was computed that is kept, so that it can be computed again."""
+    """The parameters, seed and samples of the Jacobian that is kept, by which it can be computed again."""
 
     position: Tensor  # (n,) float64
     seed: int
@@ -50,7 +51,8 @@ class GaussNewton(torch.optim.Optimizer):
 
     Residuals and J have samples of their own: two renderings of residuals, r_1 and r_2, whose mean is r, and J of a third
     seed. So the gradient J^T r has no bias from noise, and steps end where it is 0. J^T J has one, which shortens steps, as
-    damping does, in directions that few samples hardly see; where the error falls by half more than predicted, the step is
+    damping does, in directions that few samples hardly see. Where J is computed as a whole, a step is lengthened by what its
+    noise adds to the curvature along it, up to eightfold; where the error falls by half more than predicted, the step is
     doubled up to three times, as long as it falls further. Up to 64 parameters J is computed as a whole, in forward mode,
     parameters that change no channel in common by one rendering (`SeparateColumns`), and kept for up to 8 steps, as long as
     a new one would not lower the error more for each image: what a step leaves is the error of J along it. Beyond that,
@@ -113,14 +115,14 @@ class GaussNewton(torch.optim.Optimizer):
         self.diagonal: Tensor | None = None  # an estimate of that of J^T W J, (n,), where J is not computed as a whole
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next step depends on beside the parameters and the settings; numbers, lists and tensors."""
+        """All that the next step depends on beside the parameters and the settings: numbers, lists and tensors."""
         place = None if self.kept_at is None else self.kept_at._asdict()
         return super().state_dict() | {"search": dict(self.search), "seed": self.seed, "kept_for": self.kept_for,
                                        "kept_at": place, "diagonal": self.diagonal,
                                        "columns": None if self.columns is None else self.columns._asdict()}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Continues from a state.
+        """Sets the state that `state_dict` of another optimizer has returned, to continue from it.
 
         Raises:
             ValueError: if it is one of another optimizer.
@@ -165,7 +167,7 @@ class GaussNewton(torch.optim.Optimizer):
             return self.stepped(closure, linear)
 
     def stepped(self, closure: Images, linear: Linearisation) -> float:
-        """`step`, of a linearisation whose renderings are counted."""
+        """Makes one step, with a linearisation of the residuals that counts renderings; returns the squared error before."""
         state = self.search
         seeds = [4 * self.seed + number for number in range(4)]
         self.seed += 1
@@ -183,7 +185,9 @@ class GaussNewton(torch.optim.Optimizer):
             step, share = self.proposed(model, start)
             if model.jacobian is not None and self.kept_for == 0:
                 state["noise_of_j"] = noise_of_j(model, step, linear.forward(step, seeds[3], state["spp_of_j"]), weights)
-            predicted = 0.0 if known and share > NOISY else model.fall(step)
+            true = 1.0 if model.jacobian is None else 1 - min(state["noise_of_j"], MOST_NOISE)  # share of the curvature
+            step = self.within(start + step / true) - start
+            predicted = 0.0 if known and share > NOISY else model.fall(step, true)
             linear.move_to(start + step)
             state["noise_share"] = share
             if known and share > NOISY:
@@ -213,11 +217,11 @@ class GaussNewton(torch.optim.Optimizer):
         return float((weights * pair[0] * pair[1]).sum()) / len(pair[0])
 
     def judge_jacobian(self) -> None:
-        """Asks for more samples of J if it is noisy, and drops it where a new one pays.
+        """Doubles the samples of J if it is noisy, and drops it where a new one pays.
 
-        What is left of the residuals after a step is the error of J along it. So it is kept as long as the logarithm of that
-        falls more for each image than with a new one. The error of that is the noise of the last one, and of its other error
-        what is left for steps that have become shorter, as their squares.
+        The part of the residuals that a step leaves is the error of J along it. J is kept as long as its steps lower the
+        logarithm of the residuals more for each image than a new one would. The error of a new J is taken to be its noise
+        plus a rest that falls with the square of the length of steps.
         """
         state = self.search
         noisy = self.kept_for == 0 and state["noise_of_j"] > NOISY and 2 * state["spp_of_j"] <= self.max_spp
@@ -245,7 +249,7 @@ class GaussNewton(torch.optim.Optimizer):
         self.kept, self.kept_at = None, None
 
     def computed_again(self, closure: Images, place: KeptPlace) -> Tensor:
-        """J of a place, (M, n); parameters stay where they are, and evaluations are not counted."""
+        """Computes a kept J again, (M, n), without moving the parameters or counting evaluations."""
         linear = Linearisation(closure, self.param_groups[0]["params"])
         now = linear.position()
         linear.move_to(place.position)
@@ -255,7 +259,7 @@ class GaussNewton(torch.optim.Optimizer):
             linear.move_to(now)
 
     def model(self, linear: Linearisation, pair: list[Tensor], weights: Tensor, seed: int) -> Model:
-        """The quadratic model around where parameters stand, from residuals, (M,) each, and the derivatives' seed."""
+        """The quadratic model around the current parameters, from two estimates of residuals, (M,) each, and J of a seed."""
         spp = self.search["spp_of_j"]
         if linear.size <= FULL:
             if self.kept is None or len(self.kept) != len(weights):
@@ -266,7 +270,7 @@ class GaussNewton(torch.optim.Optimizer):
             return model_of(self.kept, pair, weights)
 
         def transposed(part: Tensor) -> Tensor:
-            """At one seed forward and backward are transposes, so that H is symmetric and never negative."""
+            """J^T times `part`, by the same seed as J, so that H is symmetric and has no negative eigenvalue."""
             return linear.backward(part, seed, spp)
 
         if self.diagonal is None or self.kept_for >= KEPT:

@@ -19,7 +19,7 @@ Images = Callable[[int, int | None], Tensor | Sequence[Tensor]]  # of a seed and
 
 @dataclass
 class Products:
-    """What products with one J, or its transpose, share."""
+    """The work that products with one Jacobian J, and with its transpose, share."""
 
     position: Tensor  # (n,) float64, of the parameters
     seed: int
@@ -30,7 +30,7 @@ class Products:
 
 
 class Linearisation:
-    """Images as a function of n parameters, with products of its Jacobian J, (M, n), at where these stand.
+    """Images as a function of n parameters, with products of its Jacobian J, (M, n), at their current values.
 
     The function may be any composition of torch and of renderers that reads the parameters where they are: modules with
     parametrisations, networks, exposures. While J v is computed the parameters are dual tensors in place, of unchanged
@@ -40,7 +40,7 @@ class Linearisation:
     Args:
         images: a function of seed and samples per pixel that returns a tensor, or several, of any shapes; M numbers in all.
         parameters: leaves that it reads, floating-point, n numbers in all.
-        columns: which columns of J an earlier one showed to be separate; None: not known.
+        columns: the columns of J that change no part of the images in common, as an earlier one showed; None: unknown.
 
     Raises:
         TypeError: if they are no leaves of a floating dtype, or `images` cannot be called.
@@ -67,7 +67,7 @@ class Linearisation:
 
     @contextmanager
     def sharing(self) -> Iterator[None]:
-        """Products of the same values, seed and samples share what does not depend on what J or J^T is multiplied with.
+        """A context in which products with J and J^T at the same values, seed and samples share their work.
 
         Forward mode finds paths, and places at which images jump, once. Of backward products the graph is kept, with the
         paths that it needs; it takes the memory of a step of training until other products follow, or the context ends.
@@ -79,7 +79,7 @@ class Linearisation:
             self.products = before
 
     def products_at(self, seed: int, spp: int | None) -> Products:
-        """What products of these values and samples share; new if the last ones were of others."""
+        """The record of shared work for products at the current values, this seed and spp; a new one if any has changed."""
         if self.products is None:
             return Products(torch.empty(0, dtype=torch.float64), seed, spp)
         here = self.position()
@@ -165,7 +165,7 @@ class Linearisation:
         return found
 
     def parts(self) -> Tensor:
-        """The part of the images that each row of the last product is of, (M,) int64; see `parts_of`."""
+        """The part of the images, such as a channel, to which each row of the last product belongs, (M,) int64."""
         return parts_of(self.shapes, self.parameters[0].device)
 
 
@@ -184,5 +184,5 @@ def _flat(tensors: Sequence[Tensor]) -> Tensor:
 
 
 def _described(value: object) -> str:
-    """What a value that was given as a parameter is, for a message."""
+    """A description, for messages, of a value that is no valid parameter."""
     return f"a tensor of {value.dtype} that is computed from others" if isinstance(value, Tensor) else type(value).__name__

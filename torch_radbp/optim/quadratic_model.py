@@ -27,17 +27,17 @@ class Model(NamedTuple):
     jacobian: Tensor | None = None  # (M, n) J, if it is known as a whole
 
     def curvature(self, step: Tensor) -> float:
-        """d^T H d."""
+        """The curvature d^T H d of the model along a step d."""
         change = self.changes(step)
         return float((self.weights * change) @ change)
 
-    def fall(self, step: Tensor) -> float:
-        """By how much half the squared residuals fall, as the model has it."""
-        return -float(self.gradient @ step) - 0.5 * self.curvature(step)
+    def fall(self, step: Tensor, true: float = 1.0) -> float:
+        """The predicted fall of half the squared residuals by a step; `true`: the share of curvature that is no noise."""
+        return -float(self.gradient @ step) - 0.5 * true * self.curvature(step)
 
 
 class Trial(NamedTuple):
-    """What residuals of two seeds, before and after a step d, say of the step and of J; without bias from their noise."""
+    """The effect of a step d and the error of J, estimated by residuals of two seeds without bias from their noise."""
 
     fall: float  # of r_1^T W r_2 / 2
     doubt: float  # how far two estimates of that are apart
@@ -45,7 +45,7 @@ class Trial(NamedTuple):
 
 
 def model_of(jacobian: Tensor, pair: list[Tensor], weights: Tensor) -> Model:
-    """The model of a Jacobian that is known as a whole.
+    """The quadratic model of residuals whose Jacobian is known as a whole.
 
     Args:
         jacobian: (M, n).
@@ -53,7 +53,7 @@ def model_of(jacobian: Tensor, pair: list[Tensor], weights: Tensor) -> Model:
         weights: W, (M,).
 
     Raises:
-        ValueError: if it is 0.
+        ValueError: if the Jacobian is 0.
     """
     matrix = jacobian.T @ (weights[:, None] * jacobian)
     scale = matrix.diag()
@@ -136,7 +136,7 @@ def diagonal_of(transposed: Callable[[Tensor], Tensor], weights: Tensor, probes:
 
 
 def trial_of(model: Model, step: Tensor, before: list[Tensor], after: list[Tensor], weights: Tensor) -> Trial:
-    """What residuals of two seeds before and after a step say, (M,) each."""
+    """Evaluates a step by residuals of two seeds before and after it, (M,) each."""
     falls = [-0.5 * float((weights * (before[one] + after[one])) @ (after[two] - before[two]))
              for one, two in ((0, 1), (1, 0))]
     off = None

@@ -121,7 +121,7 @@ def checked_mesh(returned: Any) -> tuple[Tensor, Tensor]:
 def in_the_place(mesh: Mesh, made: trimesh.Trimesh) -> tuple[Tensor, Tensor]:
     """Converts a trimesh mesh, welded, to positions (V, 3) and faces (F, 3) in the frame of a mesh's parameters.
 
-    Those of the mesh are where it was loaded, and its faces as they were before `flip_normals`.
+    The frame is that in which the mesh was loaded; the faces are as they are before `flip_normals`.
     """
     vertices, triangles = checked_mesh(made)
     place, count = welded_vertices(vertices)

@@ -19,7 +19,7 @@ TRIALS = 2  # how often columns may turn out not to be separate, before they are
 
 
 class SeparateColumns(NamedTuple):
-    """Which columns of a Jacobian, (M, n), are found together, and which parts of the images each changes."""
+    """Groups of columns of a Jacobian, (M, n), that one product gives together, and the image parts that each changes."""
 
     groups: list[list[int]]  # of columns that change no part in common
     changed: Tensor  # (P, n) bool, whether a column has an entry in a part
@@ -31,8 +31,8 @@ class SeparateColumns(NamedTuple):
 
         Args:
             jacobian: (M, n).
-            parts: (M,) int64.
-            before: what was found of another one and proved wrong; None: there was none.
+            parts: (M,) int64, the image part to which each row belongs.
+            before: the groups of an earlier Jacobian, which proved wrong; None: there were none.
         """
         size = jacobian.shape[1]
         changed = torch.zeros(int(parts.max()) + 1, size, dtype=torch.bool, device=jacobian.device)
@@ -56,14 +56,14 @@ class SeparateColumns(NamedTuple):
         return self.failures < TRIALS and len(self.groups) + 1 < self.changed.shape[1]
 
     def jacobian(self, product: Callable[[Tensor], Tensor], parts: Callable[[], Tensor]) -> Tensor | None:
-        """J, (M, n), by a product for each group, and one that tells whether columns are separate still.
+        """J, (M, n), by a product for each group, and one that tests whether the columns of groups are still separate.
 
         Args:
             product: J v of v, (n,): (M,) float64.
             parts: of the rows of the last product, (M,) int64.
 
         Returns:
-            None if they are not.
+            None if they are not separate.
         """
         size, device = self.changed.shape[1], self.changed.device
         units = torch.eye(size, dtype=torch.float64, device=device)
@@ -83,7 +83,7 @@ class SeparateColumns(NamedTuple):
 
 
 def parts_of(shapes: Sequence[torch.Size], device: torch.device) -> Tensor:
-    """The part that each number of some tensors is of, (M,) int64: a channel of an image, an entry of a vector, a row."""
+    """The part to which each number of some tensors belongs, (M,) int64: a channel of an image, a vector's entry, a row."""
     found, first = [], 0
     for shape in shapes:
         lengths = shape[:-2] if len(shape) > 2 else shape[:1]

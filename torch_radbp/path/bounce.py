@@ -46,17 +46,17 @@ class Vertex(NamedTuple):
 
 @stage("scene", "arrival")
 def places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position, settings: Settings) -> tuple[Place, ...]:
-    """The points at which network textures of a bounce are evaluated, see `VertexKind.places`; detached. Args as for
-    `bounce`."""
+    """The points at which a bounce's lanes look up network textures, as `VertexKind.places` lists them; detached. Args as
+    for `bounce`."""
     return scene.layout.vertex.places(scene, scene, rows(arrival, lanes), at, Settings(nee=settings.nee))
 
 
 @stage("scene", "proposal", "arrival")
 def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The end of the recursion, L_k = E_k, where nothing is scattered: emission seen by the M paths; attached to `scene`.
+    """Emission seen by M paths that end here, where nothing scatters: L_k = E_k, the end of the recursion; attached.
 
-    Args as for `bounce`; `scene` is a part where nothing is scattered.
+    Args as for `bounce`; `scene` is a part of the scene without scattering.
     """
     return scene.layout.vertex.terms(scene, proposal, rows(arrival, lanes), at, settings, texture_values).Le
 
@@ -64,7 +64,7 @@ def ending(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 @stage("scene", "proposal", "arrival")
 def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes: Tensor, at: Position,
            settings: Settings, texture_values: tuple[TextureValue, ...]) -> Vertex:
-    """One step of the recursion L_k = E_k + F_k L_{k+1}: what happens at the vertex, and where the path goes from there.
+    """One step of the recursion L_k = E_k + F_k L_{k+1}: the terms at M path vertices, their shadow rays, and the next rays.
 
     Args:
         scene: attached; the part of it that these lanes read, with what scatters there.
@@ -73,7 +73,7 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
         lanes: (M,) int32, those of them that are computed, in this order.
         at: the depth of this bounce.
         settings: the integrand.
-        texture_values: (M,) the values of textures that are read outside.
+        texture_values: (M,) the values of network textures, which are evaluated beforehand.
 
     Returns:
         The M vertices. `Le`, `Ld` and `F`, and so the throughput, are attached to `scene`, everything else is detached.
@@ -102,5 +102,5 @@ def bounce(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, lanes:
 
 
 def gathered(Le: Vec3, Ld: Vec3, visible: Tensor) -> Vec3:
-    """E_k: emission, and the light of next-event estimation where the shadow ray was free."""
+    """E_k: emission `Le`, plus the next-event estimate `Ld` where the shadow ray is unoccluded."""
     return Le + masked(visible, Ld)

@@ -11,7 +11,7 @@ from torch_radbp.vertex.interaction import surface_interaction
 
 
 def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: Camera | None, hide_emitters: bool):
-    """The closest visible surface, a `raycast.Hit`.
+    """The closest surface that a camera sees along its rays, as a `raycast.Hit`.
 
     Args:
         caster: a `RayCaster`.
@@ -30,7 +30,7 @@ def camera_hit(caster, scene: SceneTensors, ray: Ray, clipping: Camera | None, h
 
 
 def behind_emitters(caster, scene: SceneTensors, ray: Ray, hit):
-    """The closest surface that does not emit light, behind any emitters that the ray passes through."""
+    """The closest hits of rays on surfaces that emit no light; emitters in front of them are passed through."""
     while True:
         hidden = ((hit.prim >= 0) & (scene.triangles.emitter[hit.prim.clamp_min(0)] >= 0)).nonzero().squeeze(1)
         if len(hidden) == 0:

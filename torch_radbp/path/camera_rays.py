@@ -26,7 +26,7 @@ FILM_U, FILM_V, APERTURE_U, APERTURE_V = range(4)  # the random numbers of a cam
 
 
 class CameraSample(NamedTuple):
-    """Rays with which paths begin, and random number keys, (N,)."""
+    """The rays with which N paths begin, with the keys of their random numbers."""
 
     ray: Ray
     key: LaneKey  # of random numbers
@@ -44,10 +44,10 @@ def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tenso
 
     Args:
         camera: the sensor.
-        order: of the film.
+        order: the order of the film's pixels.
         pixel, sample: (N,) int32, row-major number of the pixel on the film and number of the sample in it.
-        key: of the call.
-        cones: whether textures ask for them.
+        key: the key of the rendering's random numbers.
+        cones: whether rays get ray cones, which textures are filtered by.
     """
     lane = film_lane_key(order, pixel, sample, key)
     camera_key = bounce_key(lane, CAMERA_COUNTER)
@@ -64,7 +64,7 @@ def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tenso
 
 @stage()
 def film_place(like: Tensor, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
-    """The position of each sample in its pixel, as `sample_camera` draws it; args as there, `like` has the dtype."""
+    """The position of each sample in its pixel, (N,), as `sample_camera` draws it; args as there, `like` has the dtype."""
     return place_in_pixel(bounce_key(film_lane_key(order, pixel, sample, key), CAMERA_COUNTER), like.dtype)
 
 

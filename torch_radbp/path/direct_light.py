@@ -45,15 +45,15 @@ class LightDraw(NamedTuple):
 @stage("scene", "arrival", "draw")
 def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
                  texture_values: tuple[TextureValue, ...], settings: Settings) -> Vec3:
-    """The light of one sample per lane that surfaces reflect along the rays, divided by its density; (M,).
+    """Light of one light sample per lane that surfaces reflect back along the rays, without shadows, over its density; (M,).
 
     Args:
-        scene: the part that these lanes read, detached.
+        scene: the part of the scene that the lanes read, detached.
         arrival: the rays and what they meet, (N,).
-        lanes: (M,) int32, those of them that are computed.
-        draw: the samples, of all N.
-        texture_values: (M,) the values of textures that are read outside, at the `direct_light_places`.
-        settings: the integrand's.
+        lanes: (M,) int32, the rays that are computed.
+        draw: (N,) the light samples.
+        texture_values: (M,) the values of network textures at the `direct_light_places`.
+        settings: of the integrand.
     """
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
@@ -70,7 +70,7 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
 
 
 def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The points at which `direct_light`'s network textures are evaluated; args as there."""
+    """The points at which `direct_light` looks up network textures; args as there."""
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     found = material_places(scene, si)
@@ -81,7 +81,7 @@ def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, dr
 
 
 def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3) -> tuple[Place, ...]:
-    """The points at which `scattered`'s network textures are evaluated; args as there."""
+    """The points at which `scattered` looks up network textures; args as there."""
     si = surface_met(scene, rows(arrival, lanes), Settings())
     return material_places(scene, si) + emission_places(scene, si)
 
@@ -89,7 +89,7 @@ def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Ve
 @stage("scene", "arrival", "d")
 def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
               texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The BSDF times cosine for light from given directions, at the surfaces that rays hit, (M,).
+    """The BSDF times cosine at the surfaces that rays hit, for light from given directions; (M,).
 
     Args:
         d: (N,) unit, towards the light; the rest as for `direct_light`.
@@ -104,10 +104,10 @@ def scattered(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3,
 @stage("scene", "arrival", "d")
 def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3, texture_values: tuple[()],
                         medium: int) -> Vec3:
-    """The same where flights end in a medium: scattering times the phase function.
+    """Scattering coefficient times phase function at points where paths scatter in a medium, for light from `d`; (M,).
 
     Args:
-        texture_values: none.
+        texture_values: empty.
         medium: the number of the medium; the rest as for `scattered`.
     """
     arrival, d = rows((arrival, d), lanes)
@@ -119,8 +119,8 @@ def scattered_by_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d:
 @stage("scene", "arrival", "draw")
 def direct_light_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw,
                            texture_values: tuple[TextureValue, ...], medium: int) -> Vec3:
-    """The same where flights end in a medium; of scenes without boundaries that rays pass with what the medium lets through
-    on the way to the light.
+    """The light of one light sample per lane that a medium scatters back along the rays, without shadows; (M,). It is
+    attenuated on its way from the light where the medium is unbounded.
 
     Args:
         medium: the number of the medium; the rest as for `direct_light`.
@@ -136,7 +136,7 @@ def direct_light_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor,
 
 
 def places_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The points at which `direct_light_in_medium`'s network textures are evaluated; args as there."""
+    """The points at which `direct_light_in_medium` looks up network textures; args as there."""
     arrival, draw = rows((arrival, draw), lanes)
     if not scene.layout.lit:
         return ()
@@ -144,8 +144,8 @@ def places_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw:
     return sample_places(scene, light_aims(scene, scene, p, draw.numbers, draw.picked))
 
 
-class Asked(NamedTuple):
-    """What is asked of all vertices: a stage for those on surfaces, and one for the ends of flights in media."""
+class VertexQuantity(NamedTuple):
+    """A quantity at path vertices: the stages that compute it on surfaces and in media."""
 
     of_surface: Callable
     places: Callable  # the points at which its network textures are evaluated
@@ -153,38 +153,39 @@ class Asked(NamedTuple):
     places_in_medium: Callable
 
 
-SENT_BACK = Asked(direct_light, direct_light_places, direct_light_in_medium, places_in_medium)
-SCATTERED = Asked(scattered, scattered_places, scattered_by_medium, lambda *_: ())
+SENT_BACK = VertexQuantity(direct_light, direct_light_places, direct_light_in_medium, places_in_medium)
+SCATTERED = VertexQuantity(scattered, scattered_places, scattered_by_medium, lambda *_: ())
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw, flight: Flight | None = None) -> Vec3:
-    """`direct_light` for all rays, each appearance by its own functions; 0 where nothing scatters.
+    """The `direct_light` of all rays, (N,): of surfaces, and of media where paths scatter before them; 0 where nothing
+    scatters.
 
     Args:
-        integrand: of a detached scene.
-        state: of the rays, (N,).
-        hit: what they meet.
+        integrand: the scene, detached, and how to evaluate it.
+        state: (N,) the path states with the rays.
+        hit: (N,) what the rays hit.
         draw: the light samples.
-        flight: by which they come to `hit` through media; where it ends before the light is that of
-            `direct_light_in_medium`. None: straight, whatever media leave of the light.
+        flight: (N,) how far they come in media, where some scatter before `hit`. None: all reach `hit`.
     """
     return of_vertices(integrand, SENT_BACK, Arrival(state, hit, None, flight=flight), draw,
                        Settings(sampling=integrand.settings.sampling))
 
 
 def scattered_light(integrand: Integrand, state: PathState, hit: Hit, d: Vec3, flight: Flight | None) -> Vec3:
-    """`scattered` for all rays, as `light_sent_back`, and `scattered_by_medium` where their flights end before."""
+    """BSDF times cosine, or the phase function in media, where rays scatter light from directions `d`, (N,). Args as for
+    `light_sent_back`."""
     return of_vertices(integrand, SCATTERED, Arrival(state, hit, None, flight=flight), d)
 
 
-def of_vertices(integrand: Integrand, asked_of: Asked, arrival: Arrival, asked, *more) -> Vec3:
-    """Runs a stage for all rays, (N,), each event by its own functions; 0 where nothing scatters.
+def of_vertices(integrand: Integrand, quantity: VertexQuantity, arrival: Arrival, given, *more) -> Vec3:
+    """Computes a quantity at the vertices that N rays reach, each event by its own stage; 0 where nothing scatters.
 
     Args:
-        asked_of: the stage.
-        arrival: the rays and what they meet, sides aside.
-        asked: of all N.
-        more: the other arguments on surfaces.
+        quantity: its stages.
+        arrival: the rays and what they hit; `front` is found here.
+        given: (N,) the light samples or directions that it is computed for.
+        more: further arguments of the stage on surfaces.
     """
     state, hit, _, _, flight = arrival
     front, order, queues = queued(integrand, state.ray, hit, False, flight=flight)
@@ -195,9 +196,9 @@ def of_vertices(integrand: Integrand, asked_of: Asked, arrival: Arrival, asked, 
         lanes, part = order[queue.first:queue.last], integrand.part(queue.event)
         scatterer, places, inside = integrand.scatterer(queue.event), (), isinstance(queue.event, FlightEnd)
         of_event = (queue.event.medium,) if inside else more
-        stage, places_of = asked_of[2:] if inside else asked_of[:2]
+        stage, places_of = quantity[2:] if inside else quantity[:2]
         if part.proposal.layout.lit or scatterer is not None and scatterer.outside:
-            places = places_of(part.proposal, arrival, lanes, asked)
+            places = places_of(part.proposal, arrival, lanes, given)
         values = texture_values_at(integrand.proposal, scatterer, places)
-        put_rows(found, lanes, part.call(stage, arrival, lanes, asked, values, *of_event))
+        put_rows(found, lanes, part.call(stage, arrival, lanes, given, values, *of_event))
     return found

@@ -28,21 +28,21 @@ class SurfaceMet:
     scatters: ClassVar[bool] = True
 
     def scatterer(self, layout: Layout) -> Appearance:
-        """The appearance of the surface."""
+        """The appearance (material and textures) of the surface."""
         return layout.appearances[self.appearance]
 
     def still(self, layout: Layout) -> tuple[bool, ...]:
-        """Of each value of the material, whether no parameter that it comes from is differentiated."""
+        """For each value of the material, True if it depends on no differentiated parameter."""
         return layout.still[self.appearance]
 
     @property
     def vertex(self) -> VertexKind:
-        """The functions of the vertex."""
+        """The formulas at a surface vertex."""
         return SURFACE
 
     @property
     def stage(self) -> Callable:
-        """The stage that computes the vertex."""
+        """The stage that computes one bounce at a surface vertex."""
         return bounce
 
 
@@ -54,20 +54,20 @@ class FlightEnd:
     scatters: ClassVar[bool] = True
 
     def scatterer(self, layout: Layout) -> None:
-        """There is no surface."""
+        """None: a medium has no appearance."""
 
     def still(self, layout: Layout) -> tuple[()]:
-        """There is no material."""
+        """Empty: a medium has no material whose values could be differentiated."""
         return ()
 
     @property
     def vertex(self) -> VertexKind:
-        """The functions of the vertex."""
+        """The formulas at a vertex in the medium."""
         return FlightVertex(self.medium)
 
     @property
     def stage(self) -> Callable:
-        """The stage that computes the vertex."""
+        """The stage that computes one bounce at a vertex in the medium."""
         return bounce
 
 
@@ -79,24 +79,24 @@ class Ends(Enum):
 
     @property
     def scatters(self) -> bool:
-        """No path goes on."""
+        """False: the path ends here."""
         return False
 
     def scatterer(self, layout: Layout) -> None:
-        """Nothing scatters light."""
+        """None: nothing scatters light where a path ends."""
 
     def still(self, layout: Layout) -> tuple[()]:
-        """There is no material."""
+        """Empty: where a path ends there is no material whose values could be differentiated."""
         return ()
 
     @property
     def vertex(self) -> VertexKind:
-        """The functions of the vertex."""
+        """The formulas at the end of a path."""
         return END
 
     @property
     def stage(self) -> Callable:
-        """The stage that computes the vertex."""
+        """The stage that computes the emission seen by paths that end."""
         return ending
 
 
@@ -104,7 +104,7 @@ Event = SurfaceMet | FlightEnd | Ends
 
 
 def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
-    """The events that are possible at a bounce, in the order of the numbers by which lanes are sorted.
+    """The events that are possible at a bounce of a scene, in the order by which lanes are sorted into queues.
 
     Args:
         layout: of the scene.

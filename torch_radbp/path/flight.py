@@ -46,7 +46,7 @@ from torch_radbp.vertex.outgoing_ray import glued_direction, slide_of
 
 
 class FlightPlace(NamedTuple):
-    """Where a path scatters in a medium, and into which direction."""
+    """The points at which paths scatter in a medium, and the directions before and after, (N,)."""
 
     kind: MediumKind
     table: Any  # attached
@@ -58,7 +58,7 @@ class FlightPlace(NamedTuple):
 
 @dataclass(frozen=True)
 class FlightVertex(VertexKind):
-    """A vertex in the medium of a number."""
+    """A path vertex inside of a medium, given by its number in `Layout.media`."""
 
     number: int
 
@@ -113,8 +113,8 @@ class FlightVertex(VertexKind):
 
     def distance_flown(self, scene: SceneTensors, arrival: Arrival, settings: Settings,
                        here: Corners | None = None) -> tuple[Tensor, Tensor | float]:
-        """The distances of flights, (N,), and how much longer the way through the medium is than it was, of value 1;
-        attached if that moves. Args as for `VertexKind.terms`."""
+        """The distances from ray origins to the scattering points, (N,), and how the length of the way through the medium
+        changes, as a factor of value 1; both attached if geometry or rays move. Args as for `VertexKind.terms`."""
         flight, ray = arrival.flight, arrival.state.ray
         if not settings.moving:
             return flight.t, 1.0
@@ -163,23 +163,23 @@ class FlightVertex(VertexKind):
 
 
 def point_along(ray: Ray, t: Tensor) -> Vec3:
-    """The points at distances along rays."""
+    """The points at distances `t` along rays, (N,)."""
     return ray.o + ray.d * t
 
 
 def floor_in_medium(scene: SceneTensors, p: Vec3) -> Floor | None:
-    """No surface at vertices p in a medium, for `slide_of`."""
+    """A `Floor` for vertices p in a medium, which lie on no surface; None: no material lets points slide."""
     none = torch.zeros_like(p.x)
     return None if scene.triangles.plain is None else Floor(p.map(settled), Vec3(none, none, none), none > 0, none)
 
 
 def scattered_at_end(scene: SceneTensors, arrival: Arrival, medium: int, t: Tensor) -> Vec3:
-    """What light counts by that is scattered where flights end, but for the phase function, (N,), attached: T sigma_s / p.
+    """The factor T sigma_s / p of light that is scattered at the end of flights, (N,), attached; the phase function aside.
 
     Args:
         arrival: the paths, with their flights.
-        medium: the number of that in which they end.
-        t: (N,) distance to there, attached.
+        medium: the number of the medium in which they scatter.
+        t: (N,) distance to the scattering point, attached.
     """
     kind, table, ray = scene.layout.media[medium], scene.media[medium], arrival.state.ray
     scattering = kind.scattering(table, point_along(ray, t), -ray.d)
@@ -187,11 +187,11 @@ def scattered_at_end(scene: SceneTensors, arrival: Arrival, medium: int, t: Tens
 
 
 def phase_to(kind: MediumKind, table: Any, fixed: Any, p: Vec3, wi: Vec3, d: Vec3) -> tuple[Vec3, Tensor]:
-    """The phase function for light from a direction in the world, and the density with which that is sampled.
+    """The phase function for light from world direction `d`, and the solid-angle density of sampling `d`.
 
     Args:
         kind, table: the medium, attached.
-        fixed: its table by which directions are sampled, detached.
+        fixed: the same table, detached, by which directions are sampled.
         p, wi, d: as for `MediumKind.phase`.
     """
     (phase, _), (_, pdf) = kind.phase(table, p, wi, d), kind.phase(fixed, p, wi, d)
@@ -199,7 +199,7 @@ def phase_to(kind: MediumKind, table: Any, fixed: Any, p: Vec3, wi: Vec3, d: Vec
 
 
 def flight_vantage(arrival: Arrival) -> Vantage:
-    """Where flights end, for the choice of lights: in no plane, so that light may come from all around."""
+    """The scattering points in media as reference points for light selection: without a normal, lit from all around."""
     t = arrival.flight.t
     p = point_along(arrival.state.ray, torch.where(t < torch.inf, t, 0.0))
     return Vantage(p.map(settled), Vec3.full(t, 0.0))

@@ -28,7 +28,7 @@ SURVIVE_AT_LEAST, SURVIVE_AT_MOST = 0.05, 0.95
 
 
 class QueueStages(NamedTuple):
-    """The tables and functions of one queue's lanes."""
+    """The scene tables and compiled functions for the lanes of one queue."""
 
     scene: SceneTensors  # part of the integrand's scene that they read
     proposal: SceneTensors  # the same, detached
@@ -38,14 +38,14 @@ class QueueStages(NamedTuple):
     prepared: dict[Callable, Stage]  # other stages, prepared for calls that begin with `proposal`
 
     def call(self, stage: Callable, *arguments):
-        """Runs a stage on `proposal` and other arguments."""
+        """Runs a stage on the detached scene part `proposal` and further arguments."""
         if stage not in self.prepared:
             self.prepared[stage] = self.stages(stage).knowing(self.tables)
         return self.prepared[stage](self.proposal, *arguments)
 
 
 class Integrand(NamedTuple):
-    """The integrand with the functions that evaluate it: everything about a rendering but its lanes."""
+    """The integrand: the scene, its ray caster, the sampling settings and the functions that evaluate a bounce."""
 
     scene: SceneTensors  # attached if plain autograd is to record the loop
     proposal: SceneTensors  # the same, detached
@@ -70,29 +70,29 @@ class Integrand(NamedTuple):
 
     @property
     def target(self) -> Target:
-        """What stages are compiled for."""
+        """The device and instruction set for which stages are compiled."""
         return self.stages.target_on(self.proposal.lights.choice.pmf.device)
 
     @property
     def kernels_repeat(self) -> bool:
-        """True if kernels go on with a lane by themselves, see `tensors.stage.stage`."""
+        """True if kernels repeat a step for each lane until it is done, see `tensors.stage.stage`."""
         return self.stages.is_compiled and self.target.repeats
 
     @property
     def attached(self) -> bool:
-        """True if derivatives pass through the loop over bounces, recorded by autograd or in forward mode."""
+        """True if derivatives pass through the loop over bounces, by autograd or in forward mode."""
         return self.scene is not self.proposal
 
     def still(self) -> Integrand:
-        """The integrand on detached tensors."""
+        """The same integrand with a detached scene."""
         return self._replace(scene=self.proposal, parts={}) if self.attached else self
 
     def standing(self) -> Integrand:
-        """The integrand of paths whose rays carry no derivatives."""
+        """The same integrand for paths whose rays carry no derivatives."""
         return self._replace(settings=self.settings._replace(moving=False))
 
     def for_derivatives(self, of_image: bool = False) -> Integrand:
-        """The integrand for paths whose samples are of the derivative; `of_image`: and of the image, too."""
+        """The integrand whose media are sampled for derivatives; with `of_image` for the image as well."""
         kinds = self.proposal.layout.media
         if not self.proposal.layout.scattering_media:
             return self
@@ -103,7 +103,7 @@ class Integrand(NamedTuple):
         return self._replace(scene=scene if self.attached else proposal, proposal=proposal, parts={})
 
     def part(self, event: Event) -> QueueStages:
-        """The tables and functions for lanes with this event."""
+        """The scene tables and functions for lanes with an event."""
         event = event if event.scatters else Ends.SURROUNDINGS  # where paths end the same is read, whatever ends them
         if event not in self.parts:
             scatterer = self.scatterer(event)
@@ -116,7 +116,7 @@ class Integrand(NamedTuple):
         return self.parts[event]
 
     def places(self, event: Event, arrival: Arrival, lanes: Tensor, depth: int) -> tuple[Place, ...]:
-        """The points at which these lanes evaluate network textures; see `path.bounce.places`."""
+        """The points at which lanes with an event look up network textures; see `path.bounce.places`."""
         scatterer = self.scatterer(event)
         if not self.scene.layout.lit and (scatterer is None or not scatterer.outside):
             return ()
@@ -129,18 +129,18 @@ class Integrand(NamedTuple):
 
     @property
     def bounces(self) -> int:
-        """The most bounces that paths take; those from lamps are not connected to the camera where nothing scatters."""
+        """The greatest number of bounces of a path; for paths from lamps one less, since nothing scatters at the last."""
         return self.max_depth - self.proposal.layout.from_lamps
 
     def settings_at(self, depth: int) -> Settings:
-        """The settings at a bounce; those at the first and at the last one may differ."""
+        """The settings at a bounce; at the first and the last bounce some differ."""
         ends = self.proposal.layout.from_lamps and depth + 1 >= self.bounces
         settings, first = self.settings, depth == 0
         return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
                                  fixed_start=settings.fixed_start and first, ideal=settings.ideal and first)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
-        """The paths that are not differentiated; None: all may be."""
+        """The lanes that the backward pass does not differentiate; None: all may be differentiated."""
         if self.differentiated is None:
             return None
         return ImageLanes(state.lane, self.differentiated)
@@ -152,12 +152,12 @@ class Integrand(NamedTuple):
 
     @property
     def no_appearance(self) -> Tensor:
-        """() int32, queue number of lanes that meet nothing: the number of events that scatter."""
+        """() int32, the queue number of lanes that hit nothing: the number of events that scatter."""
         scatter = sum(event.scatters for event in events_of(self.proposal.layout, False))
         return int32_number(scatter, self.proposal.lights.choice.pmf.device)
 
     def is_last(self, depth: int) -> bool:
-        """True if paths end at this bounce, where nothing is scattered."""
+        """True at the last bounce, where paths end and only emission counts."""
         return depth + 1 >= self.max_depth
 
     def events(self, depth: int) -> tuple[Event, ...]:
@@ -165,23 +165,23 @@ class Integrand(NamedTuple):
         return events_of(self.proposal.layout, self.is_last(depth))
 
     def kind_at(self, depth: int) -> tuple[Settings, bool, bool]:
-        """All that what is done at a depth depends on, beside the position and what is the same at every depth."""
+        """The settings at a bounce, and whether it is the last, the first: where these agree bounces share compiled code."""
         return self.settings_at(depth), self.is_last(depth), depth == 0
 
     def scatterer(self, event: Event) -> Appearance | None:
-        """The appearance that scatters light in an event; None: the path ends."""
+        """The appearance that scatters light in an event; None if there is none."""
         return event.scatterer(self.scene.layout)
 
 
 @functools.cache
 def int32_number(value: int, device: torch.device) -> Tensor:
-    """A () int32 tensor on a device, cached."""
+    """A () int32 tensor of a value on a device, cached."""
     return torch.full((), value, dtype=torch.int32, device=device)
 
 
 @functools.lru_cache(maxsize=4096)
 def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
-    """The position of the bounce at `depth` as cached tensors, with or without Russian roulette."""
+    """The `Position` of the bounce at `depth` on its path, as cached tensors, with or without Russian roulette."""
     least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
     return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
                     torch.tensor(most, dtype=dtype, device=device))

@@ -40,7 +40,7 @@ LAMP_COUNTER = int(depth_counter(-2, torch.device("cpu")))
 
 
 class LampTensors(NamedTuple):
-    """The lights of a scene as paths begin at them; attached."""
+    """The tables of a scene's lights, from which paths from lamps are sampled; attached."""
 
     lights: LightTable
     radiance: Any  # the bank of `Layout.radiance`
@@ -49,7 +49,7 @@ class LampTensors(NamedTuple):
 
 
 class MetFirst(NamedTuple):
-    """What rays of lamps meet first, (N,)."""
+    """The first surfaces that rays from lamps hit, (N,)."""
 
     corners: Corners  # of the triangles, world, attached
     hit: Hit
@@ -62,10 +62,10 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_value
 
     Args:
         lamps: the lights.
-        lane: (N,) int32, its number among all paths.
-        key: of the call.
-        texture_values: the values of textures that are read outside.
-        cones: whether textures ask for them: those of lamps begin without a width, so that textures are read sharply.
+        lane: (N,) int32, the number of each path.
+        key: the key of the rendering's random numbers.
+        texture_values: the values of network textures, evaluated beforehand.
+        cones: whether rays get ray cones, here of width 0, so that textures are read sharply.
         met: the points to which the rays of kinds that are `aimed` are glued; None: they follow their lamps.
     """
     keys, dtype = lane_key(key, torch.zeros_like(lane), lane), lamps.world.clearance.dtype
@@ -98,18 +98,18 @@ def sample_lamps(lamps: LampTensors, lane: Tensor, key: SampleKey, texture_value
 
 
 def glued_point(met: MetFirst) -> Vec3:
-    """The points at fixed barycentric coordinates of triangles, attached to these."""
+    """Points at fixed barycentric coordinates of triangles, (N,) world, attached to the triangles."""
     p0, e1, e2 = edges(*met.corners)
     return p0 + e1 * met.hit.u.detach() + e2 * met.hit.v.detach()
 
 
 def area_ahead(met: MetFirst, start: Vec3, d: Vec3, parallel: Tensor | None) -> Tensor:
-    """The change of what a piece of a triangle takes of a lamp's rays, of value 1: solid angle, or area across; attached.
+    """The relative change of the solid angle of triangles as seen from a lamp, as a factor of value 1; attached.
 
     Args:
         met: the triangles.
         start, d: (N,) the rays, attached.
-        parallel: (N,) bool: all rays of the lamp have one direction, and its area counts; None: nowhere.
+        parallel: (N,) bool: in parallel light the area across the light counts instead; None: nowhere.
     """
     _, e1, e2 = edges(*met.corners)
     reach = glued_point(met) - start
@@ -121,7 +121,7 @@ def area_ahead(met: MetFirst, start: Vec3, d: Vec3, parallel: Tensor | None) -> 
 
 
 def chosen_light(lights: LightTable, numbers: BounceKey) -> tuple[Tensor, Tensor]:
-    """Elements of the table of lights for paths that begin anywhere, (N,) int32, with their probabilities."""
+    """Samples elements of the light table for paths that begin at lamps: (N,) int32, and their probabilities."""
     choice, bits, split = lights.choice, random_bits(numbers, CHOICE), random_bits(numbers, SPLIT)
     if not isinstance(choice, TreeChoice):
         element = choice.sample(bits, unit(split, choice.pmf.dtype))

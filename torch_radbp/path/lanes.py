@@ -13,7 +13,7 @@ from torch_radbp.tensors.vec import Vec3
 
 
 def put_rows(record, place: Tensor, entries) -> None:
-    """Overwrites the entries at indices `place`, (N,) int32 without repetition, in every tensor of a record."""
+    """Writes entries into the rows `place`, (N,) int32 without repetition, of every tensor of a record."""
     targets, found = ([leaf for leaf in leaves_of(part) if leaf is not None] for part in (record, entries))
     if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in found]):
         for target, new in zip(targets, found):

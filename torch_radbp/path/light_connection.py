@@ -28,19 +28,19 @@ ScattersTo = Callable[[Vec3], tuple[Vec3, Tensor]]  # a direction to scattering 
 
 
 def light_numbers(key: BounceKey) -> LightNumbers:
-    """The random numbers of a bounce's light samples."""
+    """The random numbers of a bounce for sampling a light."""
     return LightNumbers(*(random_bits(key, dimension) for dimension in (LIGHT_CHOICE, LIGHT_SPLIT, LIGHT_U, LIGHT_V)))
 
 
 def connected_to_light(scene: SceneTensors, p: Vec3, valid: Tensor, scatters_to: ScattersTo, light: LightSample,
               sampling: str) -> tuple[LightSample, Vec3]:
-    """The scattered light of a light sample if its shadow ray is free; a sample that cannot connect gets density 0.
+    """Next-event estimates without shadows, and their light samples, of density 0 where these cannot connect.
 
     Args:
         scene: attached; has the media.
         p: (N,) reference points, attached.
-        valid: (N,) bool: there is one.
-        scatters_to: what scatters there.
+        valid: (N,) bool: there is a reference point.
+        scatters_to: scattering times cosine and density for a direction.
         light: the samples, as seen from there.
         sampling: which sampled directions are differentiated: "attached" where the density of scattering is.
     """
@@ -56,9 +56,9 @@ def connected_to_light(scene: SceneTensors, p: Vec3, valid: Tensor, scatters_to:
 
 def emission(scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, si: SurfaceInteraction, settings: Settings,
              texture_values: tuple[TextureValue, ...]) -> Vec3:
-    """The light that rays meet, weighted against the chance that next-event estimation at their origins finds it.
+    """The emission that rays meet, MIS-weighted against next-event estimation at their origins.
 
-    Args as for `VertexKind.terms`; where nothing is scattered some leave the scene towards its surroundings.
+    Args as for `VertexKind.terms`. At the end of paths, emission includes the light of the environment.
     """
     ray, on_surfaces = arrival.state.ray, scene.layout.scatterer is not None
     Le = Vec3.full(ray.d.x, 0.0)

@@ -26,13 +26,13 @@ from torch_radbp.vertex.emission import vantage
 
 @stage("scene", "choice")
 def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Position) -> tuple[Tensor, Tensor]:
-    """Selects light elements for next-event estimation by the tree, with their probabilities.
+    """Selects lights for next-event estimation by the light tree, with their probabilities.
 
     Args:
         scene: detached; any part of it.
-        choice: of the scene.
+        choice: the scene's light tree.
         arrival: the paths that reach a bounce.
-        at: its depth.
+        at: the depth of the bounce.
     """
     seen = vantage(surface_met(scene, arrival, Settings()))
     if arrival.flight is not None:
@@ -43,7 +43,7 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
 
 @stage("scene")
 def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
-    """(N,) bool: rays that hit an emitter, and a `LightPick` without any selection.
+    """(N,) bool: rays that hit an emitter; and a `LightPick` of N lanes in which no light is selected yet.
 
     Args:
         scene: detached; any part of it.
@@ -56,14 +56,14 @@ def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
 
 @stage("scene", "choice", "arrival")
 def chance_of_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, lanes: Tensor) -> Tensor:
-    """The probability of selecting the emitter that each of M paths has hit. Args as for `pick_light` and `bounce`."""
+    """The probability of selecting the emitter that each path has hit, (M,). Args as for `pick_light` and `bounce`."""
     state, hit = rows((arrival.state, arrival.hit), lanes)
     return chance_of_emitter(choice, state.vantage, lookup(scene.triangles.emitter, hit.prim))
 
 
 def picked_lights(integrand: Integrand, state: PathState, hit: Hit, depth: int,
                   flight: Flight | None = None) -> LightPick | None:
-    """Selects lights for paths with hits; None if selection does not depend on the point. `flight`: see `Arrival`."""
+    """Selects a light for each path's vertex by the light tree; None if that is not used. `flight`: see `Arrival`."""
     choice = integrand.proposal.lights.choice
     if not integrand.settings.nee or not integrand.proposal.lights.by_place:
         return None

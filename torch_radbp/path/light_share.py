@@ -22,17 +22,18 @@ NOT_YET, SCATTERED = 0, 1
 
 
 def narrowly(pdf: Tensor, narrow: Tensor | None) -> Tensor:
-    """(N,) bool: directions of a density are sampled narrowly. `narrow`: the material is; None: only ideal lobes are."""
+    """(N,) bool: lobes from which directions of density `pdf` come are narrow: ideal, or of a material that is
+    (`narrow`)."""
     return torch.isinf(pdf) if narrow is None else torch.isinf(pdf) | narrow
 
 
 def first_was_narrow(state: PathState) -> Tensor:
-    """(N,) bool: paths have been scattered, at first narrowly."""
+    """(N,) bool: the first vertex at which paths scattered was narrow."""
     return (state.first > NOT_YET) & (((state.first - SCATTERED) & 1) == 1)
 
 
 def next_first(state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
-    """`PathState.first` of paths that go on; args as for `narrowly`."""
+    """`PathState.first` once paths scatter at another vertex, with density `pdf`; args as for `narrowly`."""
     if state.first is None:
         return None
     here = narrowly(pdf, narrow).to(torch.int32)
@@ -41,12 +42,12 @@ def next_first(state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor |
 
 
 def meets_lamps(settings: Settings, state: PathState, on_surface: Tensor) -> Tensor | None:
-    """(N,) bool: the light that paths from the camera meet is theirs; None: all is.
+    """(N,) bool: emission that camera paths hit counts for them, not for paths from lamps; None: all of it does.
 
     Args:
-        settings: of the integrand.
+        settings: of the integrand, with `light_paths`.
         state: of the paths.
-        on_surface: (N,) bool: it is that of a surface, not of the surroundings, whose caustics are left to the camera.
+        on_surface: (N,) bool: a surface emits, not the environment, whose caustics are left to camera paths.
     """
     if state.first is None:
         return None
@@ -56,7 +57,8 @@ def meets_lamps(settings: Settings, state: PathState, on_surface: Tensor) -> Ten
 
 
 def connects(settings: Settings, layout: Layout, state: PathState, narrow: Tensor | None) -> Tensor | None:
-    """(N,) bool: paths may be connected here to what is at the other end; None: all may. `narrow`: see `narrowly`."""
+    """(N,) bool: vertices may connect to a light (on paths from lamps: the camera); None: all may. `narrow`: see
+    `narrowly`."""
     if state.first is None:
         return None
     here = torch.zeros_like(state.first, dtype=torch.bool) if narrow is None else narrow
@@ -68,7 +70,8 @@ def connects(settings: Settings, layout: Layout, state: PathState, narrow: Tenso
 
 
 def ends_lamp_paths(scene: SceneTensors, prim: Tensor) -> Tensor:
-    """(N,) bool: with "all", paths from lamps end on triangles where they scatter by chance; `prim`: int32, which."""
+    """(N,) bool: with "all" light from lamps, paths from lamps end on triangles `prim`, int32, whose material is not
+    narrow."""
     material, narrow = lookup(scene.triangles.material, prim.clamp_min(0)), scene.materials.narrow
     if narrow is None:
         return prim >= 0
@@ -76,7 +79,7 @@ def ends_lamp_paths(scene: SceneTensors, prim: Tensor) -> Tensor:
 
 
 def may_go_on(settings: Settings, layout: Layout, state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
-    """(N,) bool: paths that go on may bring something; None: all may. Args as for `connects` and `narrowly`."""
+    """(N,) bool: the rest of paths may contribute to the image; None: all may. Args as for `connects` and `narrowly`."""
     if state.first is None or (settings.light_paths == "all") == layout.from_lamps or layout.emitting_media:
         return None
     return (state.first != NOT_YET) | narrowly(pdf, narrow)

@@ -30,7 +30,7 @@ from torch_radbp.vertex.material import material_at
 
 
 class Pane(NamedTuple):
-    """What surfaces let pass straight where rays meet them, (N,) each; nothing where they are none of `Layout.panes`."""
+    """How much light surfaces let pass straight, (N,) each; zeros where a surface is none of `Layout.panes`."""
 
     through: Vec3  # share of light; attached
     chance: Tensor  # probability that such a lobe is chosen, detached
@@ -38,7 +38,7 @@ class Pane(NamedTuple):
 
 
 def pane_at(scene: SceneTensors, ray: Ray, hit: Hit, choice: Tensor | None = None, slides: Tensor | None = None) -> Pane:
-    """What surfaces let pass straight where rays meet them.
+    """The straight transmission of the surfaces that rays hit.
 
     Surfaces that emit light let nothing pass: there paths have a vertex.
 
@@ -66,7 +66,7 @@ def pane_at(scene: SceneTensors, ray: Ray, hit: Hit, choice: Tensor | None = Non
 
 
 def no_panes(scene: SceneTensors, none: Tensor) -> PanesPassed | None:
-    """No surfaces yet that rays have passed; None: the scene has none. `none`: (N,) zeros."""
+    """The initial `PanesPassed` of N rays, before any pane; None: the scene has no panes. `none`: (N,) zeros."""
     if not scene.layout.panes:
         return None
     number = torch.zeros_like(none, dtype=torch.int32)
@@ -75,12 +75,12 @@ def no_panes(scene: SceneTensors, none: Tensor) -> PanesPassed | None:
 
 
 def with_pane(panes: PanesPassed, hit: Hit, through: Vec3, passes: Tensor, seed: Tensor) -> tuple[Tensor, PanesPassed]:
-    """The next seeds, (N,) int32, and the surfaces that rays have passed, with another where they do.
+    """Adds a pane to those that rays have passed, where `passes`; returns the next seeds, (N,) int32, and the panes.
 
     Args:
-        panes: so far.
-        hit, through: of the other, and the share of light that it lets pass; detached.
-        passes: (N,) bool: they pass it.
+        panes: passed so far.
+        hit, through: (N,) where rays hit it, and the share of light that it lets pass; detached.
+        passes: (N,) bool: rays pass it.
         seed: (N,) int32, of random numbers.
     """
     seed, number = next_number(seed, panes.count.dtype)
@@ -92,12 +92,12 @@ def with_pane(panes: PanesPassed, hit: Hit, through: Vec3, passes: Tensor, seed:
 
 
 def through_panes(scene: SceneTensors, light: Vec3, ray: Ray, panes: PanesPassed | None, moving: bool) -> Vec3:
-    """What surfaces let through of light along rays, (N,), attached.
+    """The light that is left behind all panes that rays have passed, (N,), attached.
 
     Args:
         scene, ray: attached.
-        light: (N,) along the rays.
-        panes: that they have passed; None: the scene has none.
+        light: (N,) before the panes.
+        panes: those that rays have passed; None: the scene has none.
         moving: rays carry derivatives.
     """
     if panes is None:

@@ -45,7 +45,7 @@ LONGEST_WAY = 0.1 * FAR  # connections beyond it end at no lamp nearby
 
 
 class PathPassage(NamedTuple):
-    """A ray on its way through media, (N,) each, up to a boundary that it passes."""
+    """The state of rays that pass through media, (N,) each, at the start of a segment between two boundaries."""
 
     ahead: Ray  # how it goes on from there
     u: Tensor  # what is left of the random number of distances
@@ -57,7 +57,7 @@ class PathPassage(NamedTuple):
 
 @stage("scene")
 def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassage:
-    """The ways of paths before their first segment; args as for `free_flights`."""
+    """The passages of paths before their first segment; args as for `free_flight`."""
     # What decides whether there is a flight at all has a point of its own, beside that of the direction that follows.
     key, ray = bounce_key(state.key, at.counter + SALT), detached(state.ray)
     u, v = (uniform(key, dimension, state.pdf.dtype) for dimension in (FLIGHT_U, FLIGHT_V))
@@ -70,27 +70,27 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
 
 
 def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
-    """No ways in any medium; `none`: (N,) zeros."""
+    """For each medium a `MediumWay` of length 0; `none`: (N,) zeros."""
     return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.heterogeneous else MediumWay(none)
                  for kind in scene.layout.media)
 
 
 def steps_seed(key: BounceKey) -> Tensor:
-    """(N,) int32, a seed for each lane, of a bounce's key."""
+    """(N,) int32, a seed of random numbers for each lane, from the key of a bounce."""
     return hash32(key.shift ^ hash32(key.first))
 
 
 @stage("scene")
 def tracking_begun(scene: SceneTensors, ahead: Ray, segment: Tensor, medium: Tensor, seed: Tensor, shadow: bool) -> Tracking:
-    """Rays at the start of segments through media, of which those run that are in heterogeneous ones.
+    """The start of delta tracking along segments of rays; rays run that are in a heterogeneous medium.
 
     Args:
         scene: detached; any part of it.
         ahead: (N,) rays.
-        segment: (N,) to the next surface.
+        segment: (N,) distances to the next surface.
         medium: (N,) int32, numbers of the media.
-        seed: (N,) int32.
-        shadow: nobody asks what media emit on the way.
+        seed: (N,) int32, of random numbers.
+        shadow: shadow rays, which collect no emission.
     """
     first, last = torch.zeros_like(segment), torch.zeros_like(segment)
     for number in scene.layout.heterogeneous_media:
@@ -103,20 +103,20 @@ def tracking_begun(scene: SceneTensors, ahead: Ray, segment: Tensor, medium: Ten
 
 @stage("scene")
 def is_tracked_in(scene: SceneTensors, tracking: Tracking, medium: Tensor, number: int) -> Tensor:
-    """(N,) bool: rays go on in the heterogeneous medium of a number; args as for `tracking_begun`."""
+    """(N,) bool: rays still run in heterogeneous medium `number`; args as for `tracking_begun`."""
     return tracking.running & (medium == number)
 
 
 @stage("scene", "ahead", "segment", "v", "tracking", repeats="tracking")
 def tracking_on(scene: SceneTensors, ahead: Ray, segment: Tensor, v: Tensor, tracking: Tracking, lanes: Tensor, number: int,
                 flies: bool) -> Tracking:
-    """Follows some rays by some steps, (M,), or, on a GPU, to the end; see `MediumKind.track`.
+    """Takes some steps of delta tracking for M of N rays; on a GPU all steps. See `MediumKind.track`.
 
     Args:
         scene: detached; any part of it.
         ahead, segment, v, tracking: (N,).
-        lanes: (M,) int32, those of N that are meant.
-        number: of the medium.
+        lanes: (M,) int32, the rays.
+        number: the medium's.
         flies: rays may scatter.
     """
     ahead, segment, v, tracking = rows((ahead, segment, v, tracking), lanes)
@@ -125,8 +125,8 @@ def tracking_on(scene: SceneTensors, ahead: Ray, segment: Tensor, v: Tensor, tra
 
 @stage("scene", "ahead", "medium")
 def surface_ahead(scene: SceneTensors, ahead: Ray, medium: Tensor, hit: Hit, lanes: Tensor) -> Tensor:
-    """The distance along the next segment to the surface that a ray meets, (M,); 1e10 where there is none. Args as for
-    `next_segment`; `ahead`, `medium`: those of the passage."""
+    """The distances to the surfaces that rays hit, (M,); 1e10 where they hit none. Args as for `next_segment`; `ahead`,
+    `medium`: (N,) of the passage."""
     ahead, medium = rows((ahead, medium), lanes)
     met = hit.prim >= 0
     length = torch.where(met, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR).clamp_min(0.0)
@@ -134,13 +134,12 @@ def surface_ahead(scene: SceneTensors, ahead: Ray, medium: Tensor, hit: Hit, lan
 
 
 def in_enclosed(scene: SceneTensors, medium: Tensor, met: Tensor, length: Tensor) -> Tensor:
-    """The lengths of segments, (N,): 0 where rays in media that shapes enclose meet nothing. They are beyond the boundary
-    already, by the rounding of where they begin, or have slipped through.
+    """Segment lengths, (N,), set to 0 where a ray in an enclosed medium hits nothing: it has slipped out by rounding.
 
     Args:
         medium: (N,) int32, numbers of the media.
         met: (N,) bool: there is a surface ahead.
-        length: (N,) without that.
+        length: (N,) the lengths otherwise.
     """
     for number in scene.layout.enclosed_media:
         length = torch.where((medium == number) & ~met & (length > LONGEST_WAY), 0.0, length)
@@ -149,7 +148,7 @@ def in_enclosed(scene: SceneTensors, medium: Tensor, met: Tensor, length: Tensor
 
 def with_segment(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tensor,
                  segment: Segment) -> tuple[MediumWay, ...]:
-    """Ways with a segment more, in the media of these numbers, (N,)."""
+    """Adds a segment to the ways through each medium; `medium`: (N,) int32, the number of the medium of the segment."""
     extended_ways = []
     for number, (kind, table, way) in enumerate(zip(scene.layout.media, scene.media, ways)):
         here = medium == number
@@ -168,7 +167,7 @@ def with_segment(scene: SceneTensors, ways: tuple[MediumWay, ...], medium: Tenso
 
 
 class Segment(NamedTuple):
-    """A segment of a way, (N,) each."""
+    """A segment of a ray through one medium, (N,) each."""
 
     ahead: Ray
     come: Tensor  # distance from where the way began to where the segment does
@@ -184,15 +183,15 @@ def next_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, trac
 
     Args:
         scene: detached; any part of it.
-        ray: (N,) as they began.
-        way: (N,) so far.
-        hit: (M,) what `way.ahead` meets.
-        tracking: (M,) of those in heterogeneous media; None: there are none.
-        lanes: (M,) int32, those of N that are meant.
+        ray: (N,) the rays from their first origins.
+        way: (N,) the passages so far.
+        hit: (M,) what the rays `way.ahead` hit.
+        tracking: (M,) the result of delta tracking; None: no medium is heterogeneous.
+        lanes: (M,) int32, the rays that are followed.
         flies: paths may scatter in media; else they go straight to the next surface.
 
     Returns:
-        (M,) hits as seen from where rays began, ways, and whether they go on behind a boundary.
+        (M,) hits with distances from the first origins, passages, and whether rays go on behind a boundary.
     """
     ray, way = rows((ray, way), lanes)
     si, met, d, flight = surface_interaction(scene, way.ahead, hit), hit.prim >= 0, way.ahead.d, way.flight
@@ -234,13 +233,13 @@ def next_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, trac
 
 
 def next_seed(seed: Tensor, tracking: Tracking | None) -> Tensor:
-    """(N,) int32, the seed of the next segment."""
+    """(N,) int32, the seeds of random numbers for the next segment."""
     return hash32((seed if tracking is None else tracking.seed) + NEXT_SEGMENT)
 
 
 @stage("scene")
 def free_flight(scene: SceneTensors, state: PathState, hit: Hit, at: Position) -> Flight:
-    """The flights of paths where one medium is around everything.
+    """Samples how far paths come in a medium that fills all space.
 
     Args:
         scene: detached; any part of it.
@@ -262,7 +261,7 @@ def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Ten
         scene: detached; any part of it.
         prim: (N,) int32, triangles of the surfaces.
         cosine: (N,) between the geometric normal and the ray.
-        medium: (N,) int32, of the rays that came; it is that of all sides of surfaces that bound none.
+        medium: (N,) int32, the medium before the surface, which goes on behind surfaces that bound none.
     """
     row = lookup(scene.triangles.boundary, prim)
     side = torch.where(cosine > 0, lookup(scene.boundaries.outside, row), lookup(scene.boundaries.inside, row))
@@ -271,7 +270,7 @@ def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Ten
 
 @stage("scene")
 def no_crossing(scene: SceneTensors, like: Tensor) -> BoundaryCrossing:
-    """A boundary that no ray passes, (N,). `scene`: any part of it; `like`: (N,) tells the dtype of distances."""
+    """A `BoundaryCrossing` of N rays that pass no boundary. `scene`: any part of it; `like`: (N,) gives the dtype."""
     none, number = torch.zeros_like(like), torch.zeros_like(like, dtype=torch.int32)
     instance = None if scene.triangles.instances is None else number
     return BoundaryCrossing(Hit(number - 1, none, none, none, instance), number, number)
@@ -279,12 +278,12 @@ def no_crossing(scene: SceneTensors, like: Tensor) -> BoundaryCrossing:
 
 def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], crossings: tuple[BoundaryCrossing, ...],
                medium: Tensor, distance: Tensor) -> tuple[MediumWay, ...]:
-    """Ways whose lengths follow what moves: the rays, the boundaries that they pass, and where they end.
+    """Ways through media with lengths that are attached to the rays, the boundaries that they pass, and their ends.
 
     Args:
         scene, ray: attached.
         ways: through each of `Layout.media`, (N,).
-        crossings: of the boundaries, in turn.
+        crossings: of the boundaries, in the order in which rays pass them.
         medium: (N,) int32, numbers of the media in which they end.
         distance: (N,) attached, to the end.
     """
@@ -307,8 +306,8 @@ def moved_ways(scene: SceneTensors, ray: Ray, ways: tuple[MediumWay, ...], cross
 
 def moved_way(kind: MediumKind, table: Any, ray: Ray, way: MediumWay, borders: Sequence[Tensor],
               distance: Tensor) -> MediumWay:
-    """The way through a heterogeneous medium: the point that is picked on it stays where it is on its segment, as a share of
-    that, and the way counts by how much longer the segment is.
+    """The way through a heterogeneous medium, attached: its picked point keeps its share of the segment that it lies on, and
+    its weight changes with the length of the segment.
 
     Args:
         kind, table: the medium.
@@ -321,7 +320,7 @@ def moved_way(kind: MediumKind, table: Any, ray: Ray, way: MediumWay, borders: S
 
 
 def segment_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
-    """The distances at which the segments of places begin and end, (N,) each, attached; args as for `moved_way`."""
+    """The distances at which segments that contain `place` begin and end, (N,) each, attached; args as for `moved_way`."""
     begins, ends = torch.zeros_like(distance), distance
     for border in borders:
         before = settled(border) <= place
@@ -331,15 +330,15 @@ def segment_around(place: Tensor, borders: Sequence[Tensor], distance: Tensor) -
 
 
 def segment_inside(kind: MediumKind, table: Any, ray: Ray, begins: Tensor, ends: Tensor) -> tuple[Tensor, Tensor]:
-    """Where a segment between two distances along rays enters what a heterogeneous medium fills, and its length in there,
-    (N,) each, attached; length 1 where it is not in there."""
+    """The distance at which segments of rays enter the volume of a heterogeneous medium, and their length inside, (N,) each,
+    attached; length 1 for segments outside."""
     first, last = kind.enter(table, ray, ends)
     first = torch.where(begins > first, begins, first)
     return first, torch.where(settled(last - first) > TINY, last - first, 1.0)
 
 
 def distance_passed(scene: SceneTensors, ray: Ray, hit: Hit) -> Tensor:
-    """The distances at which rays pass the planes of triangles, (N,), attached to both; infinite: they pass none."""
+    """The distances at which rays cross the planes of hit triangles, (N,), attached to both; infinite for misses."""
     p0, e1, e2 = edges(*points_in_world(scene, hit, at_corners(scene.triangles.vertices.p, corner_rows(scene, hit))))
     n = cross(e1, e2)
     facing = dot(n, ray.d)
@@ -348,10 +347,10 @@ def distance_passed(scene: SceneTensors, ray: Ray, hit: Hit) -> Tensor:
 
 
 def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | None:
-    """The share of light that media let through on the ways of paths, (N,), attached; None: there are no media.
+    """The transmittance of media along path segments, (N,), attached; None: there are no media.
 
     Args:
-        arrival: the paths, with their ways.
+        arrival: the paths, with their ways through media.
         distance: (N,) attached length of the whole way.
     """
     if scene.layout.traces_segments:
@@ -364,7 +363,7 @@ def way_left(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | 
 
 
 def way_through(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3 | None:
-    """What light that surfaces reflect along rays counts by, (N,), for paths that have met them; None: there are no media.
+    """The factor of light that surfaces reflect back along rays through media, (N,); None: there are no media.
 
     In a medium that scatters only some flights reach the surface, so that those count by transmittance over the probability
     to get there. Args as for `way_left`.
@@ -374,11 +373,11 @@ def way_through(scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3
 
 
 def shown_through(arrival: Arrival, through: Vec3 | None) -> Vec3 | None:
-    """What light counts by that surfaces send of whatever lobe, (N,): only paths see it that do not pass them straight.
+    """The factor, (N,), of emission and next-event estimates at surfaces: paths that passed these straight do not see them.
 
     Args:
         arrival: the paths.
-        through: of `way_through`, by which light counts that comes by the lobe that they have chosen.
+        through: the result of `way_through`.
     """
     stays = None if arrival.flight is None else arrival.flight.stays
     return through if stays is None else through / stays.clamp_min(TINY)

@@ -21,7 +21,7 @@ from torch_radbp.vertex.interaction import is_in_front
 
 
 class Queue(NamedTuple):
-    """Lanes with the same event, which run the same functions: a part of `Step.order`."""
+    """A range of `Step.order` whose lanes have the same event, and so run the same functions."""
 
     event: Event  # what happens to them
     first: int | LaneCount
@@ -31,7 +31,7 @@ class Queue(NamedTuple):
 
 
 class ImageLanes(NamedTuple):
-    """The lanes that the backward pass does not differentiate: those from a certain index in their chunk on."""
+    """Which lanes count in the image alone and are not differentiated: those from a certain index in their chunk on."""
 
     lane: Tensor  # (N,) int32, see `PathState`
     first: Tensor  # () int32
@@ -42,13 +42,13 @@ ALL, APART = ((True, True),), ((False, True), (True, False))  # whether lanes ar
 
 
 def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes | None) -> Tensor:
-    """(N,) int32 queue numbers: by appearance, then lanes that hit nothing; lanes of the image alone have queues of their
-    own.
+    """(N,) int32 queue numbers: by appearance, then lanes that hit nothing; lanes that count in the image alone have queues
+    of their own.
 
     Args:
         appearance: (N,) int32; `nothing` where none is met.
         nothing: () int32, the number of events that scatter.
-        image_lanes: those of the image alone; None: there are none.
+        image_lanes: lanes that count in the image alone; None: there are none.
     """
     if image_lanes is None:
         return appearance
@@ -57,11 +57,11 @@ def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes
 
 
 def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` for lanes with one and the same event.
+    """`Step.order` and `Step.queues` where all lanes have the same event.
 
     Args:
-        event: what happens.
-        found: of `shines`.
+        event: of all lanes.
+        found: the result of `shines`.
     """
     if found.dtype == torch.bool:
         order = chosen(found)
@@ -72,12 +72,12 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
 
 
 def queues_by(number: Tensor, events: Sequence[Event], apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
-    """Sorts lanes into queues: `Step.order` and `Step.queues`.
+    """Sorts lanes into queues by their numbers; returns `Step.order` and `Step.queues`.
 
     Args:
-        number: (N,) int32, of `_numbered`.
-        events: that are possible, see `events_of`; lanes that scatter nothing and have none are left out.
-        apart: whether some lanes are of the image alone.
+        number: (N,) int32, as from `appearance_met`.
+        events: the possible ones, see `events_of`; lanes without any of these are left out.
+        apart: whether some lanes count in the image alone.
     """
     kinds = APART if apart else ALL
     scattering, ending = ([event for event in events if event.scatters == on] for on in (True, False))
@@ -87,11 +87,11 @@ def queues_by(number: Tensor, events: Sequence[Event], apart: bool) -> tuple[Ten
 
 
 def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[int]) -> tuple[Queue, ...]:
-    """Queues of given sizes, one behind the other; empty ones are dropped, unless all are.
+    """Consecutive queues of given sizes; empty ones are dropped, unless all are.
 
     Args:
-        kinds: of each queue what happens to its lanes, and whether these are of the image, and of the derivative.
-        counts: lanes of each.
+        kinds: of each queue its event, and whether its lanes count in the image, and in the derivative.
+        counts: the number of lanes of each.
     """
     queues, first = [], 0
     for (event, kind), count in zip(kinds, counts):
@@ -104,17 +104,17 @@ def in_turn(kinds: Sequence[tuple[Event, tuple[bool, bool]]], counts: Sequence[i
 @stage("scene")
 def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor, image_lanes: ImageLanes | None,
                    flight: Flight | None = None) -> tuple[Tensor, Tensor | None]:
-    """The number of the event that each ray meets, (N,) int32: the appearance from the front; and where the side matters.
+    """The queue number of each ray's event, (N,) int32, by the front of the surface hit; and where the back differs.
 
     Args:
         scene: detached; any part of it.
         hit: (N,).
-        nothing: () int32, the number where there is none.
-        image_lanes: those of the image alone; None: there are none.
-        flight: (N,) see `Arrival`.
+        nothing: () int32, the number for rays that hit nothing.
+        image_lanes: lanes that count in the image alone; None: there are none.
+        flight: (N,) how far paths come in media, see `Arrival`.
 
     Returns:
-        Numbers as of `_numbered`. Also (N,) bool, where that from behind is another; None: nowhere.
+        Numbers as of `_numbered`; and (N,) bool: the back has another appearance; None: nowhere.
     """
     row, met = lookup(scene.triangles.material, hit.prim.clamp_min(0)), hit.prim >= 0
     number = torch.where(met, lookup(scene.materials.appearance, row), nothing)
@@ -131,7 +131,7 @@ def appearance_met(scene: SceneTensors, hit: Hit, nothing: Tensor, image_lanes: 
 @stage("scene", "ray", "hit", "image_lanes")
 def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Tensor,
              image_lanes: ImageLanes | None) -> tuple[Tensor, Tensor]:
-    """The number of the appearance on the side that rays hit, (M,) int32, and whether that is the front, (M,) bool.
+    """The queue number by the side of the surface that rays hit, (M,) int32, and whether that is the front, (M,) bool.
 
     Args:
         scene: detached; any part of it.
@@ -149,8 +149,8 @@ def side_met(scene: SceneTensors, ray: Ray, hit: Hit, lanes: Tensor, nothing: Te
 
 @stage("scene")
 def shines(scene: SceneTensors, hit: Hit, image_lanes: ImageLanes | None, flight: Flight | None = None) -> Tensor:
-    """(N,) bool: rays that hit an emitter, leave the scene towards an environment, or pass media that emit; int32 if some
-    lanes are of the image alone.
+    """(N,) bool: rays see emission, of a surface, the environment or media; queue numbers, int32, if `image_lanes` are
+    given.
 
     Args:
         scene: detached; any part of it.

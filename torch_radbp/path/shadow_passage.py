@@ -35,7 +35,7 @@ from torch_radbp.vertex.interaction import surface_interaction
 
 
 class ShadowPassage(NamedTuple):
-    """Shadow rays on their way through media, (N,) each, up to a boundary that they pass."""
+    """The state of shadow rays that pass through media, (N,) each, at the start of a segment between two boundaries."""
 
     ahead: Ray  # how they go on from there
     medium: Tensor  # int32, number of that in which they are; -1: none
@@ -48,11 +48,11 @@ class ShadowPassage(NamedTuple):
 @stage("scene")
 def shadow_begun(scene: SceneTensors, shadow: Ray, distance: Tensor, medium: Tensor, key: LaneKey,
                  at: Position) -> tuple[ShadowPassage, Tensor]:
-    """Shadow rays where they begin, and whether they are any, (N,) bool.
+    """The initial passages of shadow rays through media, and whether there is a shadow ray, (N,) bool.
 
     Args:
         scene: detached; any part of it.
-        shadow, distance: (N,) the rays; distance 0: there is none.
+        shadow, distance: (N,) the rays; distance 0: no ray.
         medium: (N,) int32, numbers of the media in which they begin.
         key: of the paths.
         at: the depth.
@@ -64,18 +64,18 @@ def shadow_begun(scene: SceneTensors, shadow: Ray, distance: Tensor, medium: Ten
 @stage("scene", "shadow", "distance", "passed")
 def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, passed: ShadowPassage, hit: Hit,
                     tracking: Tracking | None, lanes: Tensor) -> tuple[ShadowPassage, Tensor]:
-    """Takes the next segments of shadow rays: to the light, or to a surface that blocks it, or through a boundary.
+    """Follows shadow rays through one segment: to the light, to a surface that blocks them, or through a boundary.
 
     Args:
         scene: detached; any part of it.
-        shadow, distance: (N,) as they began.
-        passed: (N,) so far.
-        hit: (M,) what `passed.ahead` meets.
-        tracking: (M,) of those in heterogeneous media; None: there are none.
-        lanes: (M,) int32, those of N that are meant.
+        shadow, distance: (N,) the rays from their first origins, and their lengths.
+        passed: (N,) the passages so far.
+        hit: (M,) what the rays `passed.ahead` hit.
+        tracking: (M,) the result of delta tracking; None: no medium is heterogeneous.
+        lanes: (M,) int32, the rays that are followed.
 
     Returns:
-        (M,) the same after that, and whether they go on behind a boundary.
+        (M,) passages, and whether rays go on behind a boundary.
     """
     shadow, distance, passed = rows((shadow, distance, passed), lanes)
     si, come = surface_interaction(scene, passed.ahead, hit), dot(passed.ahead.o - shadow.o, shadow.d)
@@ -97,7 +97,7 @@ def next_shadow_segment(scene: SceneTensors, shadow: Ray, distance: Tensor, pass
 
 @stage("scene", "shadow", "distance", "ahead")
 def shadow_ahead(scene: SceneTensors, shadow: Ray, distance: Tensor, ahead: Ray, hit: Hit, lanes: Tensor) -> Tensor:
-    """The lengths of the next segments of shadow rays, (M,), args as for `next_shadow_segment`; `ahead`: of the passage."""
+    """The lengths of the next segments of shadow rays `ahead`, (M,); other args as for `next_shadow_segment`."""
     shadow, distance, ahead = rows((shadow, distance, ahead), lanes)
     left = distance - dot(ahead.o - shadow.o, ahead.d)
     surface = torch.where(hit.prim >= 0, dot(surface_interaction(scene, ahead, hit).p - ahead.o, ahead.d), FAR)

@@ -16,7 +16,7 @@ from torch_radbp.tensors.vec import Ray
 
 
 def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
-    """The closest hits of rays; of camera rays, the closest visible ones."""
+    """The closest hits of rays at a bounce; of camera rays, the closest visible ones."""
     if depth > 0:
         return integrand.caster.intersect(ray)
     return camera_hit(integrand.caster, integrand.proposal, ray, integrand.clipping, integrand.settings.hide_emitters)
@@ -24,13 +24,13 @@ def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: ImageLanes | None = None,
            flight: Flight | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
-    """Sorts rays with hits into queues: `Step.front`, `Step.order` and `Step.queues`.
+    """Sorts rays with hits into queues: returns `Step.front`, `Step.order` and `Step.queues`.
 
     Args:
         ray, hit: (N,).
-        last: whether only what is emitted counts.
-        image_lanes: those of the image alone; None: there are none.
-        flight: (N,) see `Arrival`.
+        last: whether this is the last bounce, where only emission counts.
+        image_lanes: lanes that count in the image alone; None: there are none.
+        flight: (N,) how far paths come in media, see `Arrival`.
     """
     if last:
         return None, *one_queue(Ends.LAST_BOUNCE, integrand.part(Ends.LAST_BOUNCE).call(shines, hit, image_lanes, flight))
@@ -40,7 +40,7 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: Im
 
 def appearances_met(integrand: Integrand, ray: Ray, hit: Hit, image_lanes: ImageLanes | None = None,
                     flight: Flight | None = None) -> tuple[Tensor, Tensor | None]:
-    """The event numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
+    """The queue numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
     part = integrand.part(Ends.SURROUNDINGS)
     number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes, flight)
     front = None if differs is None else nothing(differs)

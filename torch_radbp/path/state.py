@@ -23,7 +23,7 @@ BSDF_U, BSDF_V, BSDF_CHOICE, ROULETTE, LIGHT_U, LIGHT_V, LIGHT_CHOICE, LIGHT_SPL
 
 
 class Settings(NamedTuple):
-    """The static settings of the integrand, which are compiled in."""
+    """The static settings of the integrand, which are compiled into stages."""
 
     nee: bool = True
     hide_emitters: bool = False  # at this bounce
@@ -49,7 +49,7 @@ class Position(NamedTuple):
 
 
 class PathState(NamedTuple):
-    """The state of a path before a bounce, per lane; what a schedule keeps."""
+    """The state of a path before a bounce, per lane, which checkpoints of the backward pass keep."""
 
     ray: Ray
     beta: Vec3  # throughput
@@ -69,12 +69,12 @@ class PathState(NamedTuple):
         return len(self.lane) if self.number is None else self.number
 
     def cut_to_count(self) -> PathState:
-        """The same state of as many lanes as there are; waits for the device if it alone knows their number."""
+        """The state without unused lanes; waits for the device if it alone knows the number of lanes."""
         return self if self.number is None else rows_between(self._replace(number=None), 0, waited_for(self.number))
 
 
 class BoundaryCrossing(NamedTuple):
-    """Where rays pass a boundary, (N,) each; detached."""
+    """Where rays cross the boundary of a medium, (N,) each; detached."""
 
     hit: Hit  # as seen from where they began; triangle -1: they pass no more
     before: Tensor  # int32, numbers of the media on both sides; -1: none
@@ -82,7 +82,7 @@ class BoundaryCrossing(NamedTuple):
 
 
 class PanesPassed(NamedTuple):
-    """The surfaces of `Layout.panes` that rays have passed straight, (N,) each; detached."""
+    """The panes, surfaces that light passes straight, that rays have passed so far, (N,) each; detached."""
 
     count: Tensor
     through: Vec3  # the share of light that all of them let through
@@ -91,7 +91,7 @@ class PanesPassed(NamedTuple):
 
 
 class ShadowWay(NamedTuple):
-    """The way of shadow rays through media, (N,) each; detached."""
+    """The ways of shadow rays through media and panes, (N,) each; detached."""
 
     ways: tuple[MediumWay, ...]  # in each of `Layout.media`
     medium: Tensor  # int32, number of that in which they end; -1: none
@@ -100,7 +100,7 @@ class ShadowWay(NamedTuple):
 
 
 class EmissionPlace(NamedTuple):
-    """A place on the ways of rays through media at which it is looked at what these emit, (N,) each; detached."""
+    """A sampled point on each ray through media at which their emission is evaluated, (N,) each; detached."""
 
     t: Tensor  # distance to it
     medium: Tensor  # int32, number of that in which it is
@@ -111,7 +111,7 @@ class EmissionPlace(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """How far paths come in media, (N,) each; detached."""
+    """How far path segments come in media before they scatter, (N,) each; detached."""
 
     t: Tensor  # distance to where they scatter before they meet a surface; infinite: they do not
     chance: Tensor  # density of this distance over length, or the probability of getting as far as the surface
@@ -144,13 +144,13 @@ def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: boo
     """The state before the first bounce, lanes numbered in order.
 
     Args:
-        ray, key, cone: of each lane.
+        ray, key, cone: (N,) of the lanes.
         from_places: paths remember where their rays begin.
-        following: as in `Settings`.
-        medium: the number of that in which they begin, -1: none; None: rays are not followed through media.
-        power: throughput with which they begin; None: 1.
-        shared: light is shared among paths that begin at the camera and at lamps.
-        slides: the points that rays meet slide with them over surfaces, instead of being glued to these; None: all do.
+        following: as `Settings.following`.
+        medium: the number of the medium in which paths begin, -1: none; None: rays are not followed through media.
+        power: their initial throughput; None: 1.
+        shared: some light comes by camera paths, the rest by paths from lamps.
+        slides: (N,) bool: first hits slide with the rays over surfaces, others are glued to these; None: all slide.
     """
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)

@@ -22,7 +22,7 @@ from torch_radbp.tensors.vec import rows
 class Step(NamedTuple):
     """The decisions of a bounce: hits, queues, visibility and survival, to be repeated without casting rays.
 
-    Whoever takes the bounce again goes by this record, so that all agree even where rounding would decide otherwise (of
+    Whoever repeats the bounce goes by this record, so that all agree even where rounding would decide otherwise (of
     another device, another number of threads, a compiled function and an eager one).
     """
 
@@ -40,7 +40,7 @@ class Step(NamedTuple):
 
     @property
     def scattered(self) -> int:
-        """K, the number of lanes that scatter."""
+        """K, the number of lanes that scatter at the bounce."""
         return next((queue.first for queue in self.queues if not queue.event.scatters), self.queues[-1].last)
 
     def arrival(self, state: PathState) -> Arrival:
@@ -49,7 +49,7 @@ class Step(NamedTuple):
 
 
 def cut_to_count(state: PathState, step: Step | None) -> tuple[PathState, Step | None]:
-    """A state and what was decided there, of as many lanes as there are; waits for the device if it alone knows."""
+    """A path state and its step without unused lanes; waits for the device if it alone knows the number of lanes."""
     state = state.cut_to_count()
     if step is None or not isinstance(step.queues[-1].last, LaneCount):
         return state, step
@@ -71,12 +71,12 @@ def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
 
 
 def surviving(step: Step) -> Tensor:
-    """Indices into `Step.order` of the lanes that go on, int32; they are also indices of vertices."""
+    """Indices into `Step.order` of the lanes that go on, int32; these are also rows of the `Vertex`."""
     return chosen(step.survives)
 
 
 class Onward(NamedTuple):
-    """The paths that go on from a bounce."""
+    """The paths that go on from a bounce to the next."""
 
     paths: PathState  # (K,) of the vertices, those that end there among them
     alive: Tensor | None  # (M,) int32, the places of those that go on; None: all do
@@ -86,23 +86,22 @@ class Onward(NamedTuple):
 
     @property
     def count(self) -> int | LaneCount:
-        """M."""
+        """M, the number of paths that go on."""
         return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
 
-    def asked(self, depth: int) -> Onward:
-        """The same at `depth`; if only the device knows the number, it is asked now and then, so that there is room for
-        fewer from there on."""
+    def with_less_room(self, depth: int) -> Onward:
+        """These paths in less memory, where only the device knows their number; waits for that at every `ASKED`-th depth."""
         if self.number is None or depth % ASKED:
             return self
         most = min(power_of_2(waited_for(self.number)), self.number.most)
         return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
 
     def cut_to_count(self) -> Onward:
-        """The same of as many paths as there are; waits for the device if it alone knows."""
+        """These paths without unused lanes; waits for the device if it alone knows their number."""
         return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
     def packed(self, integrand: Integrand) -> PathState:
-        """(M,) the states of the paths that go on, compacted."""
+        """The states of the paths that go on, (M,), compacted."""
         if self.alive is None or len(self.alive) == len(self.paths.lane):
             return self.paths
         return integrand.stages(rows)(self.paths, self.alive)

@@ -33,7 +33,7 @@ from torch_radbp.vertex.outgoing_ray import attached_outgoing_ray, outgoing_ray
 
 
 class SurfacePlace(NamedTuple):
-    """What is met, and the direction in which light is scattered."""
+    """The surface points of vertices, their materials, and the sampled directions, (N,)."""
 
     si: SurfaceInteraction
     material: Material
@@ -42,7 +42,7 @@ class SurfacePlace(NamedTuple):
 
 @dataclass(frozen=True)
 class SurfaceVertex(VertexKind):
-    """A vertex on a surface of one appearance."""
+    """A path vertex on a surface of one appearance."""
 
     def places(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position,
                settings: Settings) -> tuple[Place, ...]:
@@ -133,7 +133,7 @@ SURFACE = SurfaceVertex()
 
 def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
                 here: Corners | None = None) -> SurfaceInteraction:
-    """The surface interaction of rays; the point slides if the ray's direction is differentiated or not random."""
+    """The surface interactions of rays; points move with rays that are differentiated or not random, else with triangles."""
     slides = None
     if settings.moving:
         pdf = arrival.state.pdf
@@ -144,17 +144,18 @@ def surface_met(scene: SceneTensors, arrival: Arrival, settings: Settings,
 
 
 def scattered_to(material: Material, si: SurfaceInteraction, d: Vec3) -> tuple[Vec3, Tensor]:
-    """BSDF times cosine for light from a direction in the world, and the density with which it is sampled."""
+    """The BSDF times cosine for light from world direction `d`, and the solid-angle density of sampling `d`."""
     return evaluate(material, si.wi, si.frame.to_local(d))
 
 
 def lobe_number(arrival: Arrival, number: Tensor) -> Tensor:
-    """The random number that chooses a lobe, (N,): the one by which paths have not passed the surface, or else `number`."""
+    """The random number that selects a BSDF lobe, (N,): the one that chose to hit instead of pass the surface, or
+    `number`."""
     return number if arrival.flight is None or arrival.flight.choice is None else arrival.flight.choice
 
 
 def shares_of(scene: SceneTensors, texture_values: tuple[TextureValue, ...]) -> tuple[tuple[TextureValue, ...], ...]:
-    """Splits texture values into those of the material, of emitters that rays hit, and of light samples."""
+    """Splits network texture values into those of the material, of hit emitters, and of light samples."""
     of_material = len(scene.layout.scatterer.outside)
     met = of_material + len(scene.layout.lit)
     return texture_values[:of_material], texture_values[of_material:met], texture_values[met:]

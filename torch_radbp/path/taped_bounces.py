@@ -34,10 +34,10 @@ BounceOf = Callable[[Onward, int, Vec3 | None], tuple[PathState, Step, Onward]] 
 @contextmanager
 def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bounced, waits: bool = True
                   ) -> Iterator[BounceOf]:
-    """What takes one bounce after the other, of rays of a dtype: `bounce`, or machine code that does the same.
+    """Yields a function that takes one bounce: `bounce`, or recorded machine code that does the same; `dtype`: of rays.
 
     Args:
-        waits: False: numbers of lanes that only a device knows stay there; see `PathState.number`.
+        waits: False: do not wait for numbers of lanes that only a device knows; see `PathState.number`.
     """
     if not recordable(integrand):
         yield partial(bounce, integrand)
@@ -47,9 +47,9 @@ def bounces_taken(integrand: Integrand, dtype: torch.dtype, bounce: Bounce = bou
 
 
 def recordable(integrand: Integrand) -> bool:
-    """True if bounces may be recorded: those of compiled stages, which autograd does not record. Where rays pass boundaries
-    of media they are on a processor, if nothing moves, and on a GPU, if the caller finds out whether they have passed all
-    (`Integrand.repetitions`). Who is asked outside is told no tangents."""
+    """True if bounces can be recorded as machine code: stages are compiled, and autograd does not record them. Paths through
+    boundaries of media are recorded on a processor if nothing moves, and on a GPU if the caller checks that repetitions were
+    enough (`Integrand.repetitions`). Bounces with networks are not recorded in forward mode."""
     layout = integrand.proposal.layout
     return (integrand.stages.is_compiled and not (integrand.attached and torch.is_grad_enabled())
             and not (layout.traces_segments and integrand.repetitions is None
@@ -59,27 +59,27 @@ def recordable(integrand: Integrand) -> bool:
 
 
 def keeps_all_lanes(integrand: Integrand) -> bool:
-    """True if what is kept of a bounce has room for all lanes, since only the device knows how many reach it."""
+    """True if records of bounces have room for all lanes, since only the device knows how many lanes reach each."""
     return recordable(repeating(integrand, Repetitions(0, []))) and integrand.target.counts_stay
 
 
 def repeating(integrand: Integrand, repetitions: Repetitions) -> Integrand:
-    """The integrand for a caller who will find out whether so many repetitions were enough; the same where there are none
-    of which the host does not know."""
+    """The integrand with a fixed number of repetitions for loops whose end the host does not see; unchanged without such
+    loops. The caller checks that they were enough."""
     return integrand._replace(repetitions=repetitions) if repeats_unseen(integrand) else integrand
 
 
 def repeats_unseen(integrand: Integrand) -> bool:
-    """True if the host does not know whether something is to be repeated, or would wait for it each time."""
+    """True if there are loops (through media) on a device whose end the host does not see without waiting."""
     return integrand.proposal.layout.traces_segments and integrand.stages.is_compiled and integrand.target.counts_stay
 
 
 def found_out(integrand: Integrand, work: Callable[[Integrand], Result]) -> Result:
-    """`work` of an integrand; where nobody else will find out whether repetitions are enough, it is done here, afterwards.
+    """The result of `work(integrand)`, redone with more repetitions until these were enough, unless the caller checks it.
 
     Args:
         integrand: the scene and how to step.
-        work: leaves nothing behind if it is done once more.
+        work: a function that may be called several times.
     """
     if integrand.repetitions is not None or integrand.learnt is None or not repeats_unseen(integrand):
         return work(integrand)
@@ -88,14 +88,14 @@ def found_out(integrand: Integrand, work: Callable[[Integrand], Result]) -> Resu
 
 def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None, more: tuple = (),
             kind: tuple = ()) -> Tape:
-    """The tape on which bounces through a scene are recorded.
+    """The tape that records and replays bounces through a scene.
 
     Args:
         integrand: the scene and how to step.
         dtype: of the rays.
-        board: of the helpers.
-        more: what steps read beside the scene.
-        kind: what they depend on beside it.
+        board: of the helper threads.
+        more: further tensors that steps read.
+        kind: further static values that steps depend on.
     """
     caster = integrand.caster
     numbers = [integrand.no_appearance, *([] if integrand.differentiated is None else [integrand.differentiated])]
@@ -109,7 +109,7 @@ def tape_of(integrand: Integrand, dtype: torch.dtype, board: Board | None = None
 
 def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward: Onward, depth: int,
            L: Vec3 | None) -> tuple[PathState, Step, Onward]:
-    """Takes a bounce by machine code, or by `bounced` where that is not possible; args as there."""
+    """Takes a bounce by recorded machine code, or by `bounce` where that is not possible; other args as for `bounced`."""
     if depth == 0 and onward.hit is None and integrand.rejects_hits:
         tape.rest()
         onward = with_first_hit(integrand, onward)  # who knows how many rays it casts
@@ -132,14 +132,13 @@ def played(bounce: Bounce, integrand: Integrand, tape: Tape, waits: bool, onward
 
 
 def positions_taken(integrand: Integrand, depth: int) -> tuple[Position, ...]:
-    """The position of a bounce on its path; and that of the next one, if its flights are found before derivatives are, as
-    where rays carry some."""
+    """The position of a bounce on its path; and of the next one, where its free flights are sampled in advance."""
     ahead = integrand.attached and integrand.settings.moving and bool(integrand.proposal.layout.media)
     return (integrand.at(depth), integrand.at(depth + 1)) if ahead else (integrand.at(depth),)
 
 
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
-    """The key of a bounce on a tape, and the function that records it."""
+    """The key of a bounce on a tape, and the function that is recorded for it."""
     def step(onward: Onward, L: Vec3 | None, at: tuple[Position, ...]) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]
@@ -149,7 +148,7 @@ def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Cal
 
 
 def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
-    """Arguments of a bounce with shapes but no contents."""
+    """The arguments of a bounce as empty tensors of the right shapes."""
     onward, L, at = arguments
     paths = without_contents(onward.paths, reserve, ALL if onward.alive is None else ALL + 1)  # of which some end
     alive, hit, flight, L = without_contents((onward.alive, onward.hit, onward.flight, L), reserve)
@@ -157,11 +156,11 @@ def blank_lanes(arguments: tuple, reserve: Reserve) -> tuple:
 
 
 def with_first_hit(integrand: Integrand, onward: Onward) -> Onward:
-    """Camera paths with the surfaces that their rays hit."""
+    """Camera paths with the hits of their first rays."""
     return onward._replace(hit=first_hit(integrand, detached(onward.packed(integrand).ray), 0))
 
 
 def moving_leaves(integrand: Integrand) -> tuple[int, ...]:
-    """The indices of the scene's leaves that have tangents."""
+    """The indices of the scene's tensors that have tangents in forward mode."""
     tangents = leaves_of(values_and_tangents(integrand.scene)[1]) if integrand.attached else ()
     return tuple([place for place, tangent in enumerate(tangents) if tangent is not None])

@@ -26,44 +26,44 @@ Given = Sequence[Sequence[Tensor]]  # the rows and the coordinates of places, se
 
 def texture_values_at(scene: SceneTensors, scatterer: Appearance | None,
                       places: tuple[Place, ...]) -> tuple[TextureValue, ...]:
-    """Evaluates network textures at points; attached as autograd records it.
+    """The values of network textures at points; attached as autograd records it.
 
     Args:
         scene: the whole scene; attached or detached.
-        scatterer: what the lanes are scattered by; None: they end.
+        scatterer: the appearance of the lanes' surface; None: it has no material.
         places: one for each of these textures, attached or detached.
     """
     return values_of_queues(scene, [(scatterer, places)])[0]
 
 
 def values_of_queues(scene: SceneTensors, asking: Sequence[Asking]) -> list[tuple[TextureValue, ...]]:
-    """Evaluates network textures for several queues; as `texture_values_at`.
+    """The values of network textures for several queues at once; as `texture_values_at`.
 
     Args:
         scene: the whole scene; attached or detached.
-        asking: of each queue.
+        asking: for each queue its appearance and points, as for `texture_values_at`.
     """
     found = asked_outside(values_of, scene, asking, lambda place: 3)
     return [tuple(TextureValue(Vec3(*channels)) for channels in own) for own in found]
 
 
 def values_of(banks: Sequence[int], scene: SceneTensors, given: Given) -> list[Sequence[Tensor]]:
-    """Evaluates modules, channel by channel.
+    """Evaluates modules at points, channel by channel.
 
     Args:
-        banks: of which bank each of `given` asks; see `banks_asked`.
+        banks: for each of `given` the index of its table of modules; see `banks_asked`.
     """
     return of_banks(banks, scene, given, ModuleBank.values)
 
 
 def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
                   results: Callable[[Place], int]) -> list[list[Sequence[Tensor]]]:
-    """Runs a function of modules for all points of all queues in one turn.
+    """Calls a function of modules once on the points of all queues, outside of compiled code.
 
     Args:
-        work: from the banks that are asked, `scene` and what is given to what is found; as for `outside`.
+        work: a function of indices of tables, `scene`, and rows and coordinates of points.
         scene, asking: as for `values_of_queues`.
-        results: how many tensors are found at a place.
+        results: the number of tensors that it returns for a point.
     """
     places = [place for _, own in asking for place in own]
     if not places:
@@ -75,11 +75,11 @@ def asked_outside(work: Callable, scene: SceneTensors, asking: Sequence[Asking],
 
 
 def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Callable) -> list[Sequence[Tensor]]:
-    """Runs `find` once for each table of modules, on all points that need it, and splits the results.
+    """Calls `find` once for each table of modules, on all points that read it, and splits the results by point.
 
     Args:
         banks: as for `values_of`.
-        find: from a bank, rows, places, and lanes sorted by module to tensors, (N,) each.
+        find: a function of a table, rows, coordinates and sorted lanes; returns tensors, (N,) each.
     """
     answers: dict[int, Sequence[Tensor]] = {}
     asked = {bank: [number for number, other in enumerate(banks) if other == bank] for bank in dict.fromkeys(banks)}
@@ -95,11 +95,11 @@ def of_banks(banks: Sequence[int], scene: SceneTensors, given: Given, find: Call
 
 
 def sorted_by_module(banks: Sequence[ModuleBank], rows: Sequence[Tensor]) -> list[Sorted]:
-    """The lanes of several tables of modules, sorted by module; a device is waited for once.
+    """The lanes of several tables of modules, sorted by module, with a single wait for the device.
 
     Args:
         banks: the tables.
-        rows: of the lanes of each, as for `ModuleBank.sorted`.
+        rows: (N,) for each table, the module of each lane, as for `ModuleBank.sorted`.
     """
     orders, ends = zip(*(sorted_by_torch(row + 1, len(bank.functions) + 1) for bank, row in zip(banks, rows)))
     numbers = iter((ends[0] if len(ends) == 1 else torch.cat(ends)).tolist())
@@ -108,7 +108,7 @@ def sorted_by_module(banks: Sequence[ModuleBank], rows: Sequence[Tensor]) -> lis
 
 
 def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
-    """Components as a `Vec2` or `Vec3`, as in `Place.at`."""
+    """A `Vec2` or `Vec3` of two or three components, as in `Place.at`."""
     return Vec2(*at) if len(at) == 2 else Vec3(*at)
 
 
@@ -120,14 +120,14 @@ def number_outside(layout: Layout, scatterer: Appearance | None, nee: bool) -> i
 
 
 def banks_asked(layout: Layout, scatterer: Appearance | None) -> list[int]:
-    """The tables of modules, by index, that an event reads, in the order of `VertexKind.places`."""
+    """The indices of the tables of modules that an event reads, in the order of `VertexKind.places`."""
     readers = () if scatterer is None else scatterer.outside
     lit = range(len(layout.readers), len(layout.readers) + len(layout.lit))
     return [*map(layout.readers.index, readers), *lit, *lit]
 
 
 def module_banks(scene: SceneTensors) -> tuple:
-    """The tables of modules used as materials' and emitters' textures, in one tuple.
+    """The tables of modules that serve as textures of materials and emitters, in one tuple.
 
     `scene` may be any record of a scene's structure.
     """

@@ -38,7 +38,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
 def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Hit, Flight | None]:
-    """What paths meet behind the boundaries that they pass, and how far they come in media; None: see `Arrival`.
+    """Follows paths through media: the surfaces hit, and how far paths come before they scatter; None: see `Arrival`.
 
     Args:
         integrand: the scene.
@@ -56,7 +56,8 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
         way = way._replace(flight=way.flight._replace(emission=part.call(emission_begun, state)))
 
     def flown(met: Hit, lanes: Tensor) -> tuple[Hit, PathPassage, Tensor]:
-        """Flies through media, to the next surface at most, and passes that if it is but a boundary; see `next_segment`."""
+        """Follows rays through one medium, and through the surface behind if it is a boundary; results as of
+        `next_segment`."""
         tracking = None
         if layout.heterogeneous_media:
             length = part.call(surface_ahead, way.ahead, way.flight.medium, met, lanes)
@@ -75,7 +76,7 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
     hit, way = apart((hit, way)) if len(lanes) else (hit, way)
 
     def next_flown(lanes: Tensor) -> Tensor:
-        """Flies on behind a boundary; returns the lanes that pass another."""
+        """Follows rays through one more medium; returns the lanes that pass another boundary."""
         ahead, before = pick((way.ahead, way.flight.medium), lanes)
         seen, on, passes = flown(integrand.caster.intersect(ahead), lanes)
         crossings.add(lanes, seen, before, on.flight.medium, passes)
@@ -87,7 +88,7 @@ def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -
 
 
 class BoundaryCrossings:
-    """Collects the boundaries that rays pass, if rays carry derivatives.
+    """Collects the boundaries of media that rays cross, if rays carry derivatives.
 
     Args:
         integrand: the scene.
@@ -99,19 +100,19 @@ class BoundaryCrossings:
         self.part, self.pick, self.rays = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows), rays
 
     def none(self) -> BoundaryCrossing:
-        """A crossing that no ray makes."""
+        """A `BoundaryCrossing` in which no ray crosses."""
         return apart(self.part.call(no_crossing, self.rays.o.x))
 
     def add(self, lanes: Tensor, hit: Hit, before: Tensor, after: Tensor, passes: Tensor) -> None:
-        """Adds the next crossings of some rays, (M,): what they meet, the media on both sides, and whether they pass."""
+        """Adds a crossing of M rays: their hits, the media on both sides, and whether they pass."""
         crossed = chosen(passes)
         if self.kept is not None and len(crossed):
             self.kept.append(self.none())
             put_rows(self.kept[-1], self.pick(lanes, crossed), self.pick(BoundaryCrossing(hit, before, after), crossed))
 
     def in_turn(self) -> tuple[BoundaryCrossing, ...] | None:
-        """The crossings, as many as a power of 2, so that few kinds of functions are compiled; None: they were not asked
-        for."""
+        """All crossings in order, padded to a power of 2, so that few kinds of functions are compiled; None: rays carry no
+        derivatives."""
         if self.kept is None:
             return None
         most = power_of_2(len(self.kept)) if self.kept else 0
@@ -119,20 +120,20 @@ class BoundaryCrossings:
 
 
 def free_connections(integrand: Integrand, vertex: Vertex, depth: int) -> tuple[Tensor, ShadowWay | None]:
-    """Which shadow rays are free, (N,) bool, and their ways through media; None: rays are not followed. Of paths from lamps
-    only those are told that there are, so that the backward pass knows where nothing is connected to."""
+    """Whether shadow rays of vertices are unoccluded, (N,) bool, and their ways through media; None: rays are not followed.
+    Along paths from lamps also False where there is no shadow ray, so that the backward pass leaves out the vertex."""
     return free_ways(integrand, vertex.shadow, vertex.shadow_distance, vertex.shadow_medium, vertex.next.key, depth)
 
 
 def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tensor | None, key: LaneKey,
               depth: int) -> tuple[Tensor, ShadowWay | None]:
-    """Which straight ways are free, (N,) bool, and what they are through media; None: rays are not followed.
+    """Whether straight ways are unoccluded, (N,) bool, and their ways through media; None: rays are not followed.
 
     Args:
         integrand: the scene.
-        shadow, distance: (N,) the ways; distance 0: there is none.
-        medium: (N,) int32, numbers of the media in which they begin; None: rays are not followed.
-        key: (N,) of random numbers, of the paths.
+        shadow, distance: (N,) the ways as rays, and their lengths; 0: none.
+        medium: (N,) int32, the media in which they begin; None: rays are not followed.
+        key: (N,) of the paths' random numbers.
         depth: of the bounce.
     """
     layout = integrand.proposal.layout
@@ -145,7 +146,7 @@ def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tenso
     passed = apart(passed)
 
     def next_passed(lanes: Tensor) -> Tensor:
-        """Follows shadow rays to the next surface; returns the lanes that pass it, since it is but a boundary."""
+        """Follows shadow rays to the next surface; returns the lanes that pass it straight."""
         ahead, medium, seed = pick((passed.ahead, passed.medium, passed.seed), lanes)
         met, tracking = integrand.caster.intersect(ahead), None
         if layout.heterogeneous_media:
@@ -162,28 +163,28 @@ def free_ways(integrand: Integrand, shadow: Ray, distance: Tensor, medium: Tenso
 
 @stage()
 def is_connected(hidden: Tensor, distance: Tensor) -> Tensor:
-    """(N,) bool: there is a connection, and it is free. Args: see `RayCaster.occluded`."""
+    """(N,) bool: a shadow ray of positive length that is not hidden."""
     return ~hidden & (distance > 0)
 
 
 def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tensor, v: Tensor, length: Tensor,
             flies: bool, shadow: bool = False) -> Tracking:
-    """Follows rays through heterogeneous media until they scatter or leave, (N,).
+    """Follows rays through heterogeneous media by delta tracking until they scatter or leave, (N,).
 
     Args:
         ahead: (N,) rays.
         medium: (N,) int32, numbers of the media.
         seed: (N,) int32, of random numbers.
         v: (N,) the random number that chooses a colour.
-        length: (N,) to the next surface.
-        flies: rays may scatter; else what is left on the whole way is estimated.
+        length: (N,) distances to the next surface.
+        flies: rays may scatter; else the transmittance of the whole way is estimated.
         shadow: as for `tracking_begun`.
     """
     part, pick = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows)
     tracking = apart(part.call(tracking_begun, ahead, length, medium, seed, shadow))
     for number in integrand.proposal.layout.heterogeneous_media:
         def next_steps(lanes: Tensor, number: int = number) -> Tensor:
-            """Takes some steps; returns the lanes that need more."""
+            """Takes some tracking steps; returns the lanes that need more."""
             on = part.call(tracking_on, ahead, length, v, tracking, lanes, number, flies)
             put_rows(tracking, lanes, on)
             return pick(lanes, chosen(on.running))
@@ -197,19 +198,19 @@ def tracking_ended(integrand: Integrand, ahead: Ray, medium: Tensor, seed: Tenso
 
 
 def apart(record):
-    """A copy of a record to write into: results of stages that are equal may be one and the same tensor."""
+    """A copy of a record in which no two fields share memory, to be written into."""
     return mapped(record, lambda leaf: None if leaf is None else duplicated(leaf))
 
 
 @stage("scene")
 def let_through(scene: SceneTensors, light: Vec3, shadow: Ray, length: Tensor, way: ShadowWay) -> Vec3:
-    """What media let through of light along connections, (N,), attached to it and to the media, and to what moves.
+    """The light of connections that media and panes let through, (N,), attached.
 
     Args:
         scene: any part of it.
-        light: that comes if nothing is on the way.
-        shadow, length: the connections.
-        way: theirs through media.
+        light: (N,) without media.
+        shadow, length: (N,) the connections as rays, and their lengths.
+        way: their ways through media.
     """
     ways = way.ways
     if way.crossings is not None:

@@ -24,15 +24,15 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
     Args:
         integrand: the scene and how to step.
         start: from `start_path`.
-        visit: called at every depth with the state that reached it and what was decided there.
-        hit: of the camera rays, if it is known.
+        visit: called at every depth with the depth, the path states and the decisions there.
+        hit: what the camera rays hit, if that is known.
         depth: of the first bounce to take; later ones begin in the middle of a path.
         bounce: takes one bounce.
-        flight: by which rays come to `hit` through media, if it is known.
+        flight: how far rays come in media before `hit`, if that is known.
 
     Returns:
         (N,) linear RGB, in the order of `start`; attached if `integrand.scene` is. If some lanes are of the derivative alone
-        (`integrand.differentiated`), it is 0 there: nobody asks what these bring to the image.
+        (`integrand.differentiated`), it is 0 there.
     """
     def traced(integrand: Integrand) -> Vec3:
         onward = Onward(start, None, hit, flight=flight)
@@ -47,12 +47,12 @@ def trace(integrand: Integrand, start: PathState, visit: Visit | None = None, hi
 
 def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[BroughtToFilm], None],
                   visit: Visit | None = None, bounce: Bounce = bounced, hit: Hit | None = None) -> None:
-    """Traces paths from lamps: each vertex brings something to the film.
+    """Traces paths from lamps, each of whose vertices contributes to the film.
 
     Args:
-        integrand: the scene, with the camera in the place of the lights, and how to step.
+        integrand: the scene, with the camera in place of the lights, and how to step.
         start: from `start_path`.
-        deposit: called with what the vertices of a bounce bring, (N,).
+        deposit: called with the contributions of each bounce, (N,).
         visit, bounce, hit: as for `trace`.
     """
     onward, depth = Onward(start, None, hit), 0
@@ -63,7 +63,7 @@ def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[Bro
         return
     with bounces_taken(integrand, start.pdf.dtype, bounce, waits=False) as take:
         while depth < integrand.bounces:
-            onward = onward.asked(depth)
+            onward = onward.with_less_room(depth)
             if not most_of(onward.count):
                 break
             found = film_buffer(integrand, start)
@@ -76,16 +76,16 @@ def trace_to_film(integrand: Integrand, start: PathState, deposit: Callable[[Bro
 
 def walk(integrand: Integrand, onward: Onward, visit: Visit | None, L: Vec3 | None = None, depth: int = 0,
          bounce: Bounce = bounced) -> None:
-    """Calls `visit` for each bounce, as `trace` does, and adds to `L`.
+    """Takes all bounces of paths, calls `visit` at each, and adds their radiance to `L`.
 
     Args:
-        integrand, visit, depth, bounce: as there.
-        onward: all paths.
-        L: (N,) the sum, which is added to; None: it is not wanted.
+        integrand, visit, depth, bounce: as for `trace`.
+        onward: the paths.
+        L: (N,) the sum of radiance; None: it is not wanted.
     """
     with bounces_taken(integrand, onward.paths.pdf.dtype, bounce, waits=False) as take:
         while depth < integrand.bounces:
-            onward = onward.asked(depth)
+            onward = onward.with_less_room(depth)
             if not most_of(onward.count):
                 break
             state, step, onward = take(onward, depth, L)

@@ -44,7 +44,8 @@ class Terms(NamedTuple):
     narrow: Tensor | None = None  # bool: all of it scatters narrowly, see `light_share.py`; None: only ideal lobes do
 
     def film(self, scene: SceneTensors) -> Vec2 | None:
-        """Where the camera sees the vertices, see `LightSample`, or any place if nothing is connected to it."""
+        """The film positions of vertices of paths from lamps, see `LightSample`; arbitrary for those not connected to the
+        camera."""
         if not scene.layout.from_lamps:
             return None
         return Vec2(torch.zeros_like(self.pdf), torch.zeros_like(self.pdf)) if self.light is None else self.light.film
@@ -52,7 +53,7 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True)
 class VertexKind(ABC):
-    """The functions of one kind of vertex; all tensors are (N,)."""
+    """The formulas at one kind of path vertex; all tensors are (N,)."""
 
     scatters: ClassVar[bool] = True  # paths may go on from it
 
@@ -61,14 +62,14 @@ class VertexKind(ABC):
                settings: Settings) -> tuple[Place, ...]:
         """The points at which network textures are evaluated, attached to the scene, and to the ray if it moves.
 
-        Args as for `terms`. In turn: one for each texture of what scatters that is read outside; for each such reader of
-        emitters' textures one where the ray meets the emitter; where light is scattered one at the light sample.
+        Args as for `terms`. In order: for each network texture of the material, the vertex; for each network texture of
+        emitters, the point where the ray hits an emitter, and, if light is scattered, that of the light sample.
         """
 
     @abstractmethod
     def terms(self, scene: SceneTensors, proposal: SceneTensors, arrival: Arrival, at: Position, settings: Settings,
               texture_values: tuple[TextureValue, ...], here: Corners | None = None) -> Terms:
-        """The terms of the recursion.
+        """The terms of the recursion L_k = E_k + F_k L_{k+1} at the vertices.
 
         Args:
             scene: attached; the part of it that these lanes read.
@@ -76,49 +77,49 @@ class VertexKind(ABC):
             arrival: the paths that reach the vertices.
             at: the depth.
             settings: the integrand.
-            texture_values: the values of textures that are read outside, at the `places`.
-            here: the corners of the triangles that are met; None: as the scene has them.
+            texture_values: the values of network textures at the `places`.
+            here: the corners of the triangles that are hit; None: as the scene has them.
         """
 
     def origin(self, terms: Terms, d: Vec3) -> Vec3:
-        """Where a ray begins that leaves in direction `d`."""
+        """The origins of rays that leave the vertices in direction `d`."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def vantage(self, terms: Terms) -> Vantage:
-        """The place on which the choice of a light depends."""
+        """The vertices as reference points, on which the selection of lights depends."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def medium(self, scene: SceneTensors, terms: Terms, arrival: Arrival, d: Vec3) -> Tensor:
-        """The numbers of the media into which rays leave in direction `d`, int32, where media have boundaries."""
+        """The numbers of the media that rays enter in direction `d`, int32, where media have boundaries."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def ray(self, terms: Terms) -> Ray:
-        """The ray along which the path goes on."""
+        """The rays along which paths go on."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def attached_ray(self, scene: SceneTensors, terms: Terms, following: Hit, sampling: str,
                      there: Corners | None = None) -> tuple[Vec3, Ray]:
-        """`Terms.weight` and the ray along which the path goes on, with the derivatives that `sampling` includes.
+        """`Terms.weight` and the rays along which paths go on, with the derivatives that `sampling` includes.
 
         Args:
             scene: attached; gives the geometry of the next vertex.
             terms: of this vertex, attached.
-            following: what the ray meets.
+            following: what the ray hits.
             sampling: "detached", "hybrid" or "attached".
-            there: the corners of the triangles that it meets; None: as the scene has them.
+            there: the corners of the triangles that it hits; None: as the scene has them.
         """
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def cone(self, terms: Terms, cone: Cone) -> Cone:
-        """The ray cones of paths that go on; attached. `cone`: of those that arrive."""
+        """The ray cones around the next rays; attached. `cone`: around the rays that arrive."""
         raise TypeError(f"nothing leaves a {type(self).__name__}")
 
     def follows(self, terms: Terms) -> bool:
-        """True if hybrid sampling differentiates the direction in which the path goes on."""
+        """True if hybrid sampling differentiates the next direction."""
         return False
 
     def ahead(self, terms: Terms, state: PathState, ray: Ray, beta: Vec3, settings: Settings) -> PathState:
-        """The states of paths that go on along a ray, without `vantage`, and in the medium from which they come.
+        """The states of paths that go on along a ray in the same medium, without `vantage`.
 
         Args:
             terms: of the vertices.

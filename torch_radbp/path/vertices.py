@@ -27,8 +27,8 @@ FEW = 4
 
 def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step,
                   with_light: bool, factors: bool = False) -> tuple[Vertex, Vec3 | None]:
-    """Computes the vertices of lanes that hit a surface, queue by queue, and the emission seen by the others. Args as for
-    `take_step`."""
+    """Evaluates the vertices of lanes that scatter, queue by queue, and the emission seen by lanes that end. Args as for
+    `wavefront.take_step`."""
     settings, from_lamps = integrand.settings_at(depth), integrand.proposal.layout.from_lamps
     settings = settings._replace(moving=False, sampling="detached", factors=factors)
     arrival, at, known = step.arrival(state), integrand.at(depth), dict(zip(step.queues, step.texture_values))
@@ -68,7 +68,7 @@ def bounce_queues(integrand: Integrand, state: PathState, depth: int, step: Step
 
 
 def with_texture_values(integrand: Integrand, state: PathState, depth: int, step: Step, with_light: bool) -> Step:
-    """The decisions at a bounce with the values of network textures at the vertices that are computed."""
+    """The step with the values of network textures at the vertices of a bounce."""
     asking = [queue for queue in step.queues if queue.event.scatters or (with_light and queue.image)]
     values = dict(zip(asking, texture_values_of(integrand, step.arrival(state), depth, asking, step.order)))
     return step._replace(texture_values=tuple(map(values.get, step.queues)))
@@ -76,14 +76,14 @@ def with_texture_values(integrand: Integrand, state: PathState, depth: int, step
 
 def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues: Sequence[Queue],
                       order: Tensor) -> list[tuple[TextureValue, ...]]:
-    """Evaluates the network textures of some queues' lanes; `order`: see `Step`."""
+    """The values of network textures at the vertices of some queues; `order`: see `Step`."""
     return values_of_queues(integrand.scene, [
         (integrand.scatterer(queue.event), integrand.places(queue.event, arrival, order[queue.first:queue.last], depth))
         for queue in queues])
 
 
 def room_for_vertices(state: PathState, lanes: int, with_light: bool, factors: bool, from_lamps: bool) -> Vertex:
-    """Empty vertices to write results into; `factors`: see `Settings`."""
+    """An uninitialised `Vertex` of `lanes` lanes to write results into; `factors`: see `Settings`."""
     def room(part):
         if part is None or isinstance(part, Tensor):
             return None if part is None else part.new_empty(lanes)

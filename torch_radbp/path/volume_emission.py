@@ -47,7 +47,7 @@ SALT = 0x3C6EF372  # tells the random numbers of places from those of flights
 
 @stage("scene")
 def emission_begun(scene: SceneTensors, state: PathState) -> EmissionPlace:
-    """No places yet on the rays of paths, (N,). `scene`: detached; any part of it."""
+    """The initial `EmissionPlace` of path segments, (N,): no point sampled yet. `scene`: detached; any part of it."""
     none = torch.zeros_like(state.pdf)
     ways, nowhere = ways_at_first(scene, none), torch.full_like(state.lane, -1)
     return EmissionPlace(none, nowhere, none, none, ways, no_panes(scene, none))
@@ -56,7 +56,7 @@ def emission_begun(scene: SceneTensors, state: PathState) -> EmissionPlace:
 @stage("scene", "ray", "way")
 def emission_on_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hit, tracking: Tracking | None,
                     lanes: Tensor) -> EmissionPlace:
-    """The places on rays with one segment more, (M,); args as for `passage.next_segment`."""
+    """The sampled emission points of rays after one more segment, (M,); args as for `passage.next_segment`."""
     length, (ray, way) = surface_ahead(scene, way.ahead, way.flight.medium, hit, lanes), rows((ray, way), lanes)
     flight, come, before = way.flight, dot(way.ahead.o - ray.o, way.ahead.d), way.flight.emission
     assert before is not None
@@ -88,12 +88,12 @@ def emission_on_segment(scene: SceneTensors, ray: Ray, way: PathPassage, hit: Hi
 
 
 def with_volume_emission(Le: Vec3, scene: SceneTensors, arrival: Arrival, distance: Tensor) -> Vec3:
-    """Emission at vertices with that of media on the way there added, (N,), attached to these, and to what moves.
+    """The emission of vertices plus that of the media before them, (N,), attached.
 
     Args:
-        Le: (N,) without it.
+        Le: (N,) of the vertices alone.
         scene: any part of it.
-        arrival: the paths, with their ways.
+        arrival: the paths, with their ways through media.
         distance: (N,) to the surfaces that rays meet, attached; 1e10 where they meet none.
     """
     if arrival.flight is None or arrival.flight.emission is None:

@@ -38,9 +38,9 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
 
     Args:
         integrand: the scene and how to step.
-        onward: the paths that take it.
+        onward: the paths that take the bounce.
         depth: of the bounce.
-        L: (N,) of all lanes, written into; None: nobody asks for it.
+        L: (N,) the radiance of all lanes, written into; None: it is not wanted.
 
     Returns:
         The paths that reached the bounce, what was decided there, and those that go on.
@@ -58,12 +58,12 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
 def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | None = None,
               hit: Hit | None = None, flight: Flight | None = None,
               with_light: bool = True, factors: bool = False) -> tuple[Vertex, Vec3 | None, Step]:
-    """Takes one bounce of every lane; casts rays only where `step`, `hit` and `flight` do not hold their answers.
+    """Computes one bounce of all lanes; casts only the rays whose results `step`, `hit` and `flight` do not hold.
 
-    What lanes bring to the image is computed where it counts there and `with_light` asks for it; `factors`: see `Settings`.
+    Emission and next-event estimates are computed if `with_light`; `factors`: see `Settings`.
 
     Returns:
-        The vertices of the lanes that scatter, the light that those meet that end (None: none do), and the decisions.
+        The vertices of lanes that scatter, the emission seen by lanes that end (None: none do), and the decisions.
     """
     state, step = cut_to_count(state, step)
     if step is not None:
@@ -89,7 +89,7 @@ def take_step(integrand: Integrand, state: PathState, depth: int, step: Step | N
 
 
 def with_connections(integrand: Integrand, vertex: Vertex, step: Step) -> Vertex:
-    """Vertices with the light that media let through to them."""
+    """The vertices with `Ld` attenuated by the media along their shadow rays."""
     if step.shadow_way is None or vertex.Ld is None:
         return vertex
     part = integrand.part(Ends.SURROUNDINGS)
@@ -99,7 +99,7 @@ def with_connections(integrand: Integrand, vertex: Vertex, step: Step) -> Vertex
 
 def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | None,
           step: Step) -> Iterator[tuple[Tensor | Vec3 | None, ...]]:
-    """Yields what a bounce brings to the image, as arguments of `brighten`: of the lanes that scatter, of those that end."""
+    """Yields a bounce's contributions to the image, as arguments of `brighten`: of lanes that scatter, of lanes that end."""
     queues = [queue for queue in step.queues if queue.image and queue.event.scatters]
     if queues:
         scattered = step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible, vertex.film
@@ -111,7 +111,8 @@ def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | 
 
 def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
              Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
-    """L += beta E at some lanes; of paths from lamps beta E, and where the camera sees it. Args as for `brightened`."""
+    """Adds beta E of a bounce to the radiance `L`, or for paths from lamps writes it and its place. Args as for
+    `brightened`."""
     if isinstance(L, BroughtToFilm):
         if film is not None:  # else these end, and are seen nowhere
             put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
@@ -120,7 +121,7 @@ def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, or
 
 
 class BroughtToFilm(NamedTuple):
-    """What vertices of paths from lamps bring to the film, (N,)."""
+    """The contributions of vertices of paths from lamps to the film, (N,)."""
 
     value: Vec3  # linear RGB, times the area of the image for each area there
     place: Vec2  # pixels from the upper left corner of the window
@@ -128,26 +129,26 @@ class BroughtToFilm(NamedTuple):
 
 @stage("beta")
 def shining(beta: Vec3, order: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
-    """What vertices of paths from lamps bring to the film. Args as for `brightened`."""
+    """The contributions beta E of vertices of paths from lamps. Args as for `brightened`."""
     return rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 
 @stage("L", "beta")
 def brightened(L: Vec3, beta: Vec3, order: Tensor, lane: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
-    """Adds the contribution beta (Le + visible Ld) of a bounce to the radiance of some lanes.
+    """The radiance of some lanes with the contribution beta (Le + visible Ld) of a bounce added, (M,).
 
     Args:
         L: of all lanes of the chunk.
         beta: of the paths that reached the bounce.
-        order: (M,) int32, those of them that are meant; the rest is in their order.
-        lane: (M,) int32, their places in the chunk.
+        order: (M,) int32, the paths that contribute, in the order of the other arguments.
+        lane: (M,) int32, their indices in the chunk.
         Le, Ld, visible: of the bounce; None: nothing is scattered.
     """
     return rows(L, lane) + rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 
 class Bounce(NamedTuple):
-    """One iteration of the loop over bounces."""
+    """One bounce of all paths, as the loop `bounces` yields it."""
 
     depth: int
     state: PathState  # of the paths that reach it
@@ -167,7 +168,7 @@ class Bounce(NamedTuple):
 
     @property
     def F(self) -> Vec3:
-        """(K,) the factor of the next vertex's radiance: F_k, 0 where the path ends."""
+        """(K,) the throughput factor F_k of the next vertex's radiance; 0 where the path ends."""
         return masked(self.step.survives, self.vertex.F)
 
 
@@ -179,8 +180,8 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
         integrand: the scene and how to step.
         state: of the paths that have reached `depth`.
         depth: of the first bounce to take.
-        steps: by depth, what was decided before; no ray is cast there.
-        hit: of the first rays, if it is known.
+        steps: by depth, decisions of an earlier pass; no ray is cast there.
+        hit: what the first rays hit, if that is known.
         with_light: see `take_step`.
     """
     while depth < integrand.bounces and len(state.lane):
@@ -190,13 +191,13 @@ def bounces(integrand: Integrand, state: PathState, depth: int = 0, steps: Mappi
 
 
 def film_buffer(integrand: Integrand, start: PathState) -> BroughtToFilm:
-    """(N,) zeros for what the vertices of a bounce bring to the film; dual tensors as of `radiance_buffer`."""
+    """(N,) zeros for the contributions of a bounce to the film; dual tensors as of `radiance_buffer`."""
     place = radiance_buffer(integrand, start)
     return BroughtToFilm(radiance_buffer(integrand, start), Vec2(place.x, place.y))
 
 
 def radiance_buffer(integrand: Integrand, start: PathState) -> Vec3:
-    """(N,) zeros to sum radiance in; dual tensors if the scene or the rays have tangents."""
+    """(N,) zeros in which radiance is summed; dual tensors if the scene or the rays have tangents."""
     L = Vec3.buffer(start.pdf)
     moves = inside_dual_level() and (integrand.attached or any_differentiated(start))
     return dual(L, Vec3.buffer(start.pdf)) if moves else L

@@ -22,18 +22,18 @@ FEW_BOUNCES = 8  # of which all may wait for their deposit on the film
 
 
 def goes_whole(integrand: Integrand, lanes: int, depth: int = 0) -> bool:
-    """True if so many paths from a depth on may be traced whole: there are enough to make a tile's memory worth it, and what
-    they meet asks nobody outside."""
+    """True if `lanes` paths can be traced by machine code for whole paths: at least a tile of them, and no networks to
+    evaluate."""
     return (lanes >= TILE and recordable(integrand) and not integrand.target.counts_stay
             and integrand.bounces - depth <= MOST_BOUNCES and not integrand.proposal.layout.reads_outside)
 
 
 def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: Bounce = bounced) -> Vec3 | None:
-    """The radiance of whole paths by machine code, as `trace.trace` returns it, (N,); None if that is not possible.
+    """The radiance of paths, (N,), traced from first to last bounce by machine code; None if that is not possible.
 
     Args:
-        integrand, depth, bounce: as there.
-        onward: all paths.
+        integrand, depth, bounce: as for `trace.trace`.
+        onward: the paths.
     """
     if not goes_whole(integrand, onward.count, depth):
         return None
@@ -42,8 +42,8 @@ def traced_whole(integrand: Integrand, onward: Onward, depth: int = 0, bounce: B
 
 
 def brought_by_whole_paths(integrand: Integrand, onward: Onward, bounce: Bounce = bounced) -> list[BroughtToFilm] | None:
-    """What each bounce of paths from lamps brings to the film, (N,); None if whole paths cannot be traced. Args as for
-    `traced_whole`."""
+    """What each bounce of paths from lamps contributes to the film, (N,) each; None if whole paths cannot be traced. Args as
+    for `traced_whole`."""
     if integrand.bounces > FEW_BOUNCES or not goes_whole(integrand, onward.count):
         return None
     brought = [film_buffer(integrand, onward.paths) for _ in range(integrand.bounces)]
@@ -52,7 +52,7 @@ def brought_by_whole_paths(integrand: Integrand, onward: Onward, bounce: Bounce 
 
 def take_whole(integrand: Integrand, onward: Onward, totals: Sequence[Vec3 | BroughtToFilm], depth: int,
                bounce: Bounce) -> bool:
-    """Takes all bounces of paths, of which each adds to a total of all lanes; False if they cannot be recorded."""
+    """Takes all bounces of paths by machine code; each adds to one of `totals`. Returns False if they cannot be recorded."""
     dtype = onward.paths.pdf.dtype
     if not totals:
         return True
@@ -71,7 +71,7 @@ def take_whole(integrand: Integrand, onward: Onward, totals: Sequence[Vec3 | Bro
 
 
 def step_of(bounce: Bounce, integrand: Integrand, depth: int) -> Callable[[Onward, Vec3, Position], Played]:
-    """A bounce that returns only the paths that go on."""
+    """A recordable function that takes a bounce, adds its radiance to a total, and returns only the paths that go on."""
     def step(onward: Onward, total: Vec3 | BroughtToFilm, at: Position) -> Played:
         _, _, onward = bounce(integrand, onward, depth, total)
         return Played(() if depth + 1 == integrand.bounces else onward)

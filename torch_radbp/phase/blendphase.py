@@ -21,7 +21,7 @@ LEAST_CHANCE = 0.02  # of either: one of weight 0 is sampled, so that the weight
 
 
 class BlendTable(NamedTuple):
-    """The numbers, attached."""
+    """The parameters of a mixture of two phase functions, attached."""
 
     weight: Any  # table of a volume
     first: Any  # numbers of the two
@@ -30,7 +30,7 @@ class BlendTable(NamedTuple):
 
 @dataclass(frozen=True)
 class BlendPhaseKind(PhaseKind):
-    """(1 - w) p0 + w p1, with a weight w that may vary in space; each is sampled with the probability of its weight."""
+    """The mixture (1 - w) p0 + w p1, whose weight w may vary in space and gives the probability of sampling p1."""
 
     weight: VolumeKind
     first: PhaseKind

@@ -17,14 +17,14 @@ NEARLY_EVEN = 1e-3  # a mean cosine below which cosines are sampled evenly, and 
 
 
 class HenyeyGreensteinTable(NamedTuple):
-    """One row, attached."""
+    """The parameter of a Henyey-Greenstein phase function, one row; attached."""
 
     g: Tensor  # mean cosine
 
 
 @dataclass(frozen=True)
 class HenyeyGreensteinKind(CosineKind):
-    """(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5)."""
+    """The Henyey-Greenstein phase function, (1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5)."""
 
     def of_cosine(self, table: HenyeyGreensteinTable, cosine: Tensor) -> tuple[Tensor, Tensor]:
         g = entry(table.g, cosine)

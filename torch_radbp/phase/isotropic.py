@@ -14,7 +14,7 @@ from torch_radbp.plugin import register
 
 @dataclass(frozen=True)
 class IsotropicKind(CosineKind):
-    """1 / (4 pi)."""
+    """The isotropic phase function, 1 / (4 pi)."""
 
     def of_cosine(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
         even = torch.full_like(cosine, 0.25 / math.pi)

@@ -14,7 +14,7 @@ from torch_radbp.plugin import register
 
 @dataclass(frozen=True)
 class RayleighKind(CosineKind):
-    """3 / (16 pi) (1 + cos^2)."""
+    """Rayleigh's phase function, 3 / (16 pi) (1 + cos^2)."""
 
     def of_cosine(self, table: tuple[()], cosine: Tensor) -> tuple[Tensor, Tensor]:
         value = (1.0 + cosine * cosine) * (3.0 / (16.0 * math.pi))

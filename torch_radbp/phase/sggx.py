@@ -24,8 +24,8 @@ ROWS = ((0, 3, 4), (3, 1, 5), (4, 5, 2))  # of the matrix, by the numbers of cha
 
 @dataclass(frozen=True)
 class SGGXKind(PhaseKind):
-    """D(h) / (4 a(wi)), of the half vector h of wi and wo, with the distribution of the flakes' normals, and their area as
-    seen along wi
+    """The phase function of flakes, D(h) / (4 a(wi)), with the half vector h of wi and wo, the distribution of the flakes'
+    normals, and their area as seen along wi
 
         D(h) = 1 / (pi sqrt(det S) (h . S^-1 h)^2),    a(wi) = sqrt(wi . S wi)
 
@@ -63,7 +63,7 @@ class SGGXKind(PhaseKind):
         return area_seen(self.rows_at(table, p), wi)
 
     def rows_at(self, table: Any, p: Vec3) -> Rows:
-        """The rows of S at points."""
+        """The rows of the flakes' matrix S at points in the world."""
         channels = self.matrix.values(table, p)
         return tuple(Vec3(*(channels[number] for number in row)) for row in ROWS)
 

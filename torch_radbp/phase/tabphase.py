@@ -20,7 +20,7 @@ EVEN_SHARE = 0.02  # of directions, sampled evenly: what is 0 in some has its de
 
 
 class TabulatedTable(NamedTuple):
-    """Values at N equidistant cosines from -1 to 1, attached."""
+    """A tabulated phase function: values at N equidistant cosines from -1 to 1, attached."""
 
     density: Tensor  # (N,) over the cosine, integrates to 1
     sampled: Tensor  # (N,) the density that is sampled
@@ -29,7 +29,7 @@ class TabulatedTable(NamedTuple):
 
 @dataclass(frozen=True)
 class TabulatedKind(CosineKind):
-    """p(cos) / (2 pi), linear between the entries of a table, whose cumulative distribution is inverted by halving."""
+    """The phase function p(cos) / (2 pi), linear between a table's entries; its distribution is inverted by bisection."""
 
     entries: int
 

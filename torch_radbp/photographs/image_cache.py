@@ -33,7 +33,7 @@ class ImageCache:
         return made
 
     def __getstate__(self) -> dict:
-        """Copies, as for the processes of a `DataLoader`, start empty."""
+        """The state of an empty cache: copies, as for the processes of a `DataLoader`, start empty."""
         return {"limit": self.limit, "held": 0, "images": OrderedDict()}
 
 

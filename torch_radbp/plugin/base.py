@@ -46,7 +46,7 @@ class Plugin(nn.Module):
         super().__setattr__(name, value)
 
     def share(self, name: str) -> None:
-        """Keeps the child `name` without registering it, because it is registered (and named) elsewhere."""
+        """Holds the submodule `name` without registering it as a child: it is registered, and named, elsewhere."""
         self.shared[name] = self._modules.pop(name)
 
     @classmethod
@@ -95,11 +95,11 @@ class Texture(Plugin):
         return tuple(source for part in self.parts() for source in part.sources()) or (self.texels(),)
 
     def parts(self) -> tuple[Texture, ...]:
-        """The textures that its values are read from; empty if they are its own."""
+        """The textures from which the texture's values are read; empty if it has values of its own."""
         return ()
 
     def jumps(self) -> tuple[JumpLines, ...]:
-        """The lines of (u, v) along which its values are discontinuous."""
+        """The lines in surface coordinates (u, v) along which the texture's values are discontinuous."""
         return tuple(lines for part in self.parts() for lines in part.jumps())
 
     def resolution(self) -> tuple[int, int]:
@@ -150,11 +150,11 @@ class Medium(Plugin):
     category = "medium"
 
     def kind(self) -> Any:
-        """The functions, a `interface.medium.MediumKind`."""
+        """The functions of the medium, an `interface.medium.MediumKind`."""
         raise TypeError(f"{type(self).__name__} does not define its kind")
 
     def row(self) -> Any:
-        """The numbers that these read: a record of () tensors, attached."""
+        """The parameters that the medium's functions read: a record of () tensors, attached."""
         raise TypeError(f"{type(self).__name__} does not define its row")
 
 

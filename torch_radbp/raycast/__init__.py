@@ -42,8 +42,8 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
         balls: which of the triangles are tessellated spheres, found faster; None: none are known.
         instances: of groups, whose triangles come last and are seen only there; None: there are none. The triangles of a
             group are kept once by "embree", and by "warp" where copies were many.
-        last: a caster whose parts the new one may take over; None: none.
-        known: of the mesh, if its device has been asked already.
+        last: a caster whose trees of groups the new one may take over; None: none.
+        known: the extremes of the mesh, if its device has been asked for them already.
 
     Raises:
         ValueError: unknown name, or a mesh that cannot be used.
@@ -62,7 +62,7 @@ def make_caster(name: str | None, vertices: Tensor, faces: Tensor, balls: Balls 
 
 def _new_caster(name: str, vertices: Tensor, faces: Tensor, balls: Balls | None, instances: Instances | None,
                 last: RayCaster | None = None, known: MeshExtremes | None = None) -> RayCaster:
-    """Builds the ray caster called `name`, as `make_caster` does, without instances in casters that know none."""
+    """Builds the ray caster called `name`, as `make_caster` does; instances are copied for casters that know none."""
     if name not in CASTERS:
         raise ValueError(f"unknown ray caster {name!r}; known are {', '.join(map(repr, CASTERS))}")
     caster = getattr(importlib.import_module(f"torch_radbp.raycast.{name}"), CASTERS[name])

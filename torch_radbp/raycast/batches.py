@@ -37,7 +37,7 @@ PICKED, FOLLOWING = 14, 4
 
 
 class Listed(NamedTuple):
-    """One vector of the rays of a batch that a list names, as those that meet a box."""
+    """One vector of rays taken from a list of rays of a batch, such as those that meet a box."""
 
     mask: str  # flags of lanes within the list
     ray: str  # their places in the batch
@@ -51,12 +51,12 @@ class Listed(NamedTuple):
         return code.choose(self.mask, code.gather(code.scalar, "%ray.end", self.ray), code.constant(DONE))
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """Scatters new values of a column into the batch, in lanes whose flag is set."""
+        """Scatters new values of a column of the batch's rays, such as their t, in lanes whose flag is set."""
         code.scatter(kind, value, f"%ray.{name}", self.ray, where)
 
 
 class Following(NamedTuple):
-    """One vector of consecutive rays of a batch, whether or not they meet the box."""
+    """One vector of consecutive rays of a batch, whether or not they meet a bounding box."""
 
     at: str
 
@@ -74,7 +74,7 @@ class Following(NamedTuple):
         return self.column(code, "end")
 
     def learn(self, code: Vectors, kind: str, name: str, value: str, where: str) -> None:
-        """Stores new values of a column into the batch, in lanes whose flag is set."""
+        """Stores new values of a column of the batch's rays, such as their t, in lanes whose flag is set."""
         code.store(code.vector(kind), code.choose(where, value, self.column(code, name), kind),
                    code.at(kind, f"%ray.{name}", self.at))
 
@@ -176,7 +176,7 @@ def search_balls(code: Vectors, before: str, count: str, columns: list[str], any
     of runs.
 
     Args:
-        columns: addresses of what the lanes hold of their rays.
+        columns: the addresses of the components of all lanes' rays.
         before, count, any_hit: as for `_search`.
     """
     loop(code, "ball", before, 1)

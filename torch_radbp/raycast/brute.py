@@ -37,7 +37,7 @@ class Brute:
 
     @property
     def recorded_as(self) -> None:
-        """Queries are plain torch."""
+        """None: queries are plain torch, and are not recorded."""
 
     def intersect(self, ray: Ray) -> Hit:
         check_lanes(ray, None, self.vertices.device)

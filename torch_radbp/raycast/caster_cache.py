@@ -24,13 +24,13 @@ class CastTriangles(NamedTuple):
     made_of: tuple[Tensor, ...] = ()  # what the positions are computed from: the same objects where that is the same
 
     def is_made_of_the_same(self, other: CastTriangles) -> bool:
-        """True if nobody needs to compare the triangles of the other record."""
+        """True if the other record is made of the very same tensors, so that triangles need not be compared."""
         mine, others = ((mesh.balls, mesh.instances, *mesh.corners, *mesh.made_of) for mesh in (self, other))
         return bool(self.made_of) and len(mine) == len(others) and all(map(operator.is_, mine, others))
 
     def compared(self, other: CastTriangles) -> tuple[list[Tensor], list[Tensor]] | None:
-        """Flags, () bool each, that say whether the other record has the same triangles, in groups as they lie there, and
-        the same instances of these; None: it has not."""
+        """Flags, () bool each on the device, that are all true if the other record has equal triangles, and equal instances;
+        None: shapes, dtypes or groups differ."""
         flags = []
         for mine, others in zip(self.columns(), other.columns()):
             if len(mine) != len(others) or not all(map(of_one_kind, mine, others)):
@@ -45,12 +45,12 @@ class CastTriangles(NamedTuple):
             for mine, others in zip(self.columns(), other.columns()))
 
     def columns(self) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
-        """The tensors of triangles, and those of instances."""
+        """The tensors that describe the triangles, and those that describe the instances."""
         return (*self.p, *self.corners, *(self.balls or ())), () if self.instances is None else (
             self.instances.to_world, self.instances.boxes)
 
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Which triangles and instances are of which group."""
+        """The first vertex, triangle and instance of each group; empty without instances."""
         return () if self.instances is None else self.instances[1:4]
 
     def stacked(self) -> tuple[Tensor, Tensor, Balls | None, Instances | None]:

@@ -28,8 +28,9 @@ CPU = torch.device("cpu")
 
 
 class DirectCaster:
-    """A `RayCaster` without a tree, for small meshes on the CPU, in the dtype of the rays. `cost`: of a ray, in tests of a
-    triangle.
+    """A `RayCaster` without a tree, for small meshes on the CPU, in the dtype of the rays.
+
+    `cost` is that of one ray, in tests of a triangle.
 
     No ray slips between two triangles that share an edge, or whose corners are in the same places. A copied or unpickled
     caster counts its rays from zero.

@@ -50,7 +50,7 @@ class SphereCrossing(NamedTuple):
 
 
 class Nearest(NamedTuple):
-    """The next ball along each ray."""
+    """The next ball along each ray, and whether there is one."""
 
     number: str  # i32, of the ball; 0 where there is none
     some: str  # flags: there is one
@@ -81,7 +81,7 @@ def beside(kernel: CasterKernel) -> CasterKernel:
 
 
 def prepare(code: Vectors) -> None:
-    """Emits what comes before the loop."""
+    """Emits, before the loop over lanes, the loading of the number of balls, and room for one distance for each."""
     code.lay("%ball_count = load i64, ptr %ball_count_at", f"%starts = alloca {code.numbers}, i64 %ball_count")
 
 
@@ -92,9 +92,7 @@ def numbers_in_mesh(code: Vectors, prim: str) -> str:
 
 
 def closest_ball(code: Vectors, rays: RayVector, before: tuple[str, str, str, str]) -> tuple[str, str, str, str]:
-    """prim, u, v and t of the closest hit among balls and a hit that is given: its t, which bounds the search, prim, u and
-    v.
-    """
+    """prim, u, v and t of the closest hit among balls and the hit `before`, whose t, prim, u and v are given."""
     farthest, *others = before
     carried = [("ball.t", code.numbers, farthest),
                *((f"ball.{name}", code.integers, "splat (i32 -1)") for name in ("met", "row", "column"))]
@@ -129,7 +127,7 @@ def placed(code: Vectors, rays: RayVector, met: tuple[str, str, str], t: str, ot
 
 
 def any_ball(code: Vectors, rays: RayVector, before: str, tmax: str) -> str:
-    """Flags of rays that are flagged already, or hit a ball at 0 < t <= tmax."""
+    """Flags of rays that are set in `before`, or whose ray hits a ball at 0 < t <= tmax."""
     begin_search(code, rays, [("left", code.numbers, code.choose(before, ZERO, tmax))])
     hit, _, _ = meet_nearest(code, rays, next_ball(code, "%left"), "%left")
     code.lay(f"%left.next = select {code.flags} {hit}, {code.numbers} {ZERO}, {code.numbers} %left",
@@ -142,7 +140,7 @@ def begin_search(code: Vectors, rays: RayVector, carried: list[tuple[str, str, s
     that order.
 
     Args:
-        carried: name, type and first value of what goes from turn to turn.
+        carried: name, type and first value of each variable of the loop.
     """
     code.lay("br label %balls", "balls:", "br label %sphere",
              "sphere:", "%s = phi i64 [ 0, %balls ], [ %s.next, %sphere ]")

@@ -68,7 +68,7 @@ def view_along(code: Vectors, rays: RayVector) -> tuple[RayView, str]:
 
 
 class Crossing(NamedTuple):
-    """Where rays cross the plane of a face."""
+    """The crossings of rays with the plane of a face, by edge functions and a distance."""
 
     edges: list[str]  # the edge functions: on which side of each edge
     total: str  # twice the area of the triangle, as rays see it

@@ -48,7 +48,7 @@ class ExpandedCaster:
         return [self.triangle, self.instance, *self.caster.reads(dtype)]
 
     def launch(self, *arguments) -> None:
-        """See `jit.nvidia.launches.Caster`."""
+        """Casts a ray for each lane on a GPU, without waiting; see `jit.nvidia.launches.Caster`."""
         self.caster.launch(*arguments)
 
     def count(self, rays: int) -> None:
@@ -57,11 +57,11 @@ class ExpandedCaster:
 
 
 def as_shown(triangle: Tensor, instance: Tensor, prim: Tensor) -> tuple[Tensor, Tensor]:
-    """The triangle of the scene and the instance that show what rays meet, (N,) int32 each.
+    """The scene's triangle and the instance of hits on copied triangles, (N,) int32 each.
 
     Args:
-        triangle, instance: of each triangle that is met.
-        prim: (N,) int32, which of these; -1: none.
+        triangle, instance: of each copied triangle.
+        prim: (N,) int32, the copied triangle that is hit; -1: none.
     """
     met, place = prim >= 0, prim.clamp_min(0)
     return torch.where(met, triangle.index_select(0, place), -1), torch.where(met, instance.index_select(0, place), 0)

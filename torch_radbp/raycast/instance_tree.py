@@ -26,7 +26,7 @@ class InstanceTree(NamedTuple):
 
 
 def instance_tree(low: Tensor, high: Tensor) -> InstanceTree:
-    """Builds the tree.
+    """Builds a complete binary tree over the bounding boxes of instances.
 
     Args:
         low, high: (I, 3) corners of the boxes.
@@ -42,7 +42,7 @@ def instance_tree(low: Tensor, high: Tensor) -> InstanceTree:
 
 
 def leaves_of_boxes(centre: Tensor) -> Tensor:
-    """Which box each leaf of the tree has, (L,) int64; -1: none.
+    """The box of each leaf of a tree over boxes, (L,) int64; -1: the leaf is empty.
 
     Args:
         centre: (I, 3) of the boxes, whatever their unit.

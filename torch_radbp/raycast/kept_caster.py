@@ -36,9 +36,9 @@ class KeptCaster:
 
 
 def same_mesh(mesh: CastTriangles, other: CastTriangles) -> tuple[bool, MeshExtremes | None]:
-    """Whether two meshes are the same, and the extremes of the other one, if they were asked for.
+    """True if two meshes have equal triangles; and the extremes of the other one, or None if they were not computed.
 
-    A device is asked both at once, since the host waits for each answer. On the CPU nothing is asked: None.
+    They are only computed on another device than the CPU: the host waits once for both answers.
     """
     if other.p.x.is_cpu:
         return mesh.equals(other), None

@@ -16,7 +16,7 @@ MOST_FETCHED = 64  # triangles of which a device is asked for all corners
 
 
 class MeshExtremes(NamedTuple):
-    """What a device is asked of a mesh, at once, and what is known of it beside that."""
+    """Numbers about a mesh that the host reads from its device at once, to check it and to choose a caster."""
 
     finite: bool  # in float32
     indices: tuple[int, int]  # the least and the greatest
@@ -26,7 +26,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def asked_of(vertices: Tensor, faces: Tensor, instances: Instances | None = None) -> list[Tensor]:
-        """The numbers of which a device is asked; none of what is no mesh: who checks it will say why.
+        """The tensors on the device that hold the numbers of this record; none for invalid meshes, which are checked later.
 
         Args:
             vertices: (V, 3).
@@ -43,7 +43,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def of(numbers: Sequence[float], unmoved: bool = False) -> MeshExtremes | None:
-        """Takes the answers of a device to `asked_of` apart, in that order; None if it was not asked anything."""
+        """The record made of the values of the tensors of `asked_of`, in that order; None if there are none."""
         if not numbers:
             return None
         finite, least, greatest, extent, *corners = numbers
@@ -56,7 +56,7 @@ def checked_vertices(vertices: Tensor, device: torch.device | None = None, finit
     Args:
         vertices: (V, 3).
         device: where they must be; None allows any.
-        finite: whether all are in float32, if it is known.
+        finite: whether all are finite in float32, if already known.
 
     Raises:
         ValueError: not (V, 3) float32 or float64, none at all, not finite in float32, or not as demanded.

@@ -44,9 +44,9 @@ class RayCaster(Protocol):
 
     @property
     def recorded_as(self) -> Hashable | None:
-        """What the code of recorded queries depends on, beside the tables that they read; None: they cannot be recorded.
+        """A key of all that the code of recorded queries depends on but the tables that it reads; None: not recordable.
 
-        Others have `reads`, too.
+        Casters that can be recorded have `reads`, too.
         """
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:

@@ -19,7 +19,7 @@ class RayVector(NamedTuple):
 
 
 class CasterKernel(NamedTuple):
-    """What a ray caster plugs into the loops: functions that emit IR for one vector of rays, after the label `cast`."""
+    """The functions of a ray caster by which the loops emit IR that casts one vector of rays, after the label `cast`."""
 
     inputs: tuple[str, ...]  # names of the addresses that follow the columns of lanes
     prepare: Callable[[Vectors], None]  # what comes before the loop

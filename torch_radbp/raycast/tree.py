@@ -98,7 +98,7 @@ class Tree:
             self.building.start()
 
     def build(self) -> None:
-        """Builds the tree on this thread, to which alone Embree tells errors."""
+        """Builds the tree on this thread, the only one to which Embree reports its errors."""
         embree = library.load_embree()
         try:
             embree.rtcSetSceneFlags(self.scene, library.SCENE_FLAG_ROBUST)  # no ray slips between two triangles

@@ -29,7 +29,7 @@ class Vectors:
         self.declared: dict[str, str] = {}
 
     def text(self) -> str:
-        """The finished LLVM module; its `lanes_of_job` takes parts of a `team.Job`."""
+        """The finished LLVM module, with a function `lanes_of_job` that runs a part of a `team.Job`."""
         head = "define internal void @lanes(i64 %first, i64 %last, ptr noalias %inputs, ptr noalias %outputs) {"
         parts = TAKE_PARTS.format(width=self.width)
         return "\n".join([parts, FEW_LANES, head, *self.lines, "}", *self.declared.values(), ""])

@@ -55,7 +55,7 @@ class Warp:
         vertices: (V, 3) float32 or float64, finite; copied.
         faces: (F, 3) integers in [0, V); copied. Triangles without area are never hit.
         balls: those among the triangles, which are nothing special here.
-        known: of the mesh; None: the device is asked.
+        known: the extremes of the mesh; None: the device is asked for them.
         instances: of groups of the triangles; None: none.
         last: a caster that this one follows.
 
@@ -137,7 +137,7 @@ class Warp:
             self._rays += rays
 
     def launch(self, kernel: wp.Kernel, lanes: int, last: int, *addresses: int) -> None:
-        """See `jit.nvidia.launches.Caster`."""
+        """Casts a ray for each lane on the device, without waiting; see `jit.nvidia.launches.Caster`."""
         kinds = [argument.type.dtype for argument in kernel.adj.args[-len(addresses):]]
         self._start(kernel, lanes, self._memory(last, wp.int64, 1), list(map(self._memory, addresses, kinds, repeat(lanes))))
 
@@ -163,12 +163,12 @@ class Warp:
         return Warp, self.balls is not None, self._closest.key
 
     def reads(self, dtype: torch.dtype) -> Sequence[Tensor | int]:
-        """Nothing that a `Recording` is given: launches are told the tree when they begin."""
+        """Empty: recorded launches get the addresses of the tree when they are played."""
         return ()
 
     @property
     def rays_cast(self) -> int:
-        """Waits for the device, if rays were cast there of which it alone knows the number."""
+        """The number of rays cast so far; waits for the device, which alone knows some."""
         return self._rays + int(self._rays_counted)
 
     def _stream(self):
@@ -199,7 +199,7 @@ def _started(device: torch.device):
 
 @contextmanager
 def silent() -> Iterator[None]:
-    """A context in which Warp does not say what it finds and compiles."""
+    """A context in which Warp prints no messages about devices and compilation."""
     level, wp.config.log_level = wp.config.log_level, max(wp.config.log_level, wp.LOG_ERROR)
     try:
         yield
@@ -209,7 +209,7 @@ def silent() -> Iterator[None]:
 
 @made_once
 def tree_kernels(device: torch.device) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels for closest hits and for any, by a tree; compiled the first time, and kept on disk by Warp."""
+    """Warp's kernels for closest hits and for any hit by a tree; compiled the first time, and kept on disk by Warp."""
     with silent():
         wp.load_module(__name__, device=wp.device_from_torch(device))
     return closest_hit, any_hit

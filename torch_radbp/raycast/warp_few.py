@@ -34,7 +34,7 @@ class FewFaces(NamedTuple):
 
 
 def few_faces(corners: Tensor, device: torch.device) -> FewFaces | None:
-    """The faces of triangles, on a device; None: they are more than a ray should try.
+    """The `FewFaces` of triangles, on a device; None if they are more than a ray should test one by one.
 
     Args:
         corners: (F, 3, 3) float32, of the host, which would wait for the device a dozen times otherwise.
@@ -59,7 +59,7 @@ def few_faces(corners: Tensor, device: torch.device) -> FewFaces | None:
 
 
 def coordinates_on(origin: Tensor, first: Tensor, second: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """The planes of points, and two coordinates on them, (N, 4) each: what is multiplied with x, y, z and 1.
+    """The planes of triangles, and two coordinates on each, (N, 4) each: factors of x, y, z and 1.
 
     The coordinates are 0 at `origin`, and 1 at `first` and `second`. Of triangles without area all is 0, so that no ray
     crosses their plane.
@@ -93,7 +93,7 @@ def four_of(rows: wp.array(dtype=wp.vec4), place: int) -> wp.vec4:  # type: igno
 
 @wp.struct
 class FaceCrossing:
-    """Where a ray crosses a face."""
+    """The crossing of a ray with a face: its t, and the triangle of the face."""
 
     t: float  # 0: it does not
     second: wp.bool  # on its second triangle
@@ -101,19 +101,19 @@ class FaceCrossing:
 
 @wp.func
 def height(plane: wp.vec4, p: wp.vec3) -> float:
-    """A coordinate of a point."""
+    """The height of a point above a plane, or its coordinate along an axis of a face, by the four numbers `plane`."""
     return plane[0] * p[0] + plane[1] * p[1] + plane[2] * p[2] + plane[3]
 
 
 @wp.func
 def rise(plane: wp.vec4, d: wp.vec3) -> float:
-    """The change of a coordinate along a direction."""
+    """The change of `height` along a direction."""
     return plane[0] * d[0] + plane[1] * d[1] + plane[2] * d[2]
 
 
 @wp.func
 def crossing_of(planes: wp.array(dtype=wp.vec4), k: int, o: wp.vec3, d: wp.vec3) -> FaceCrossing:
-    """Where a ray crosses a face in front of it, if it does; along a plane and at no number nothing is crossed."""
+    """The crossing of a ray with face `k` at t > 0, if any; none for rays within its plane, or of NaN."""
     plane, limits = four_of(planes, 4 * k), four_of(planes, 4 * k + 3)
     crossing = FaceCrossing()
     t = -height(plane, o) / rise(plane, d)

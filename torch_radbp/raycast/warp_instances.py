@@ -39,7 +39,7 @@ class GroupMesh(NamedTuple):
 
 
 class ShownGroups(NamedTuple):
-    """What rays meet in a scene with instances: L leaves, and what no instance shows."""
+    """The tables of a scene with instances that kernels read: an upper tree of L leaves, and triangles of no group."""
 
     groups: list[GroupMesh]  # the last is what no instance shows, if there is such
     nodes: Tensor  # (4 L, 4) float32, the lower and the upper corner of each node of the upper tree; the last column is 0
@@ -48,7 +48,7 @@ class ShownGroups(NamedTuple):
     trees: Tensor  # (L + 1,) int64, the addresses of the groups' trees; 0: none
 
     def head(self) -> list:
-        """What kernels are given before all else."""
+        """The first arguments of the kernels."""
         nodes, places = (wp.from_torch(table, dtype=wp.vec4, return_ctype=True) for table in (self.nodes, self.places))
         trees = wp.from_torch(self.trees, dtype=wp.uint64, return_ctype=True)
         return [nodes, places, lanes_of(self.shown), trees, len(self.trees) - 1]
@@ -60,7 +60,7 @@ def shown_groups(groups: list[GroupMesh], instances: Instances, unit: float) -> 
     Args:
         groups: as by `group_meshes`.
         instances: of these.
-        unit: by which the numbers of rays are greater than in the world.
+        unit: the factor from world units to the units in which rays are cast.
     """
     corners, to_world = instances.boxes.double() * unit, instances.to_world.double()
     largest = corners.abs().amax((1, 2)) + 2 * unit * to_world[:, :, 3].abs().amax(1)
@@ -91,14 +91,14 @@ def _repeated(rows: Tensor, counts: Sequence[int]) -> Tensor:
 
 def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Sequence[GroupMesh], unmoved: bool,
                  stream: wp.Stream | None) -> list[GroupMesh]:
-    """The trees of the groups, and of what no instance shows, if there is such; of triangles as they were that of `last`.
+    """The trees of the groups, and of triangles outside of groups, if any; trees of unchanged triangles are reused.
 
     Args:
         vertices: (V, 3) of the scene and of its groups.
         faces: (T, 3) int32, likewise.
         instances: of the groups.
         last: those of the caster that this one follows.
-        unmoved: that their triangles are as they were is known.
+        unmoved: their triangles are known to be unchanged.
         stream: on which trees are built; None on the CPU.
     """
     ends = list(zip(instances.first_vertex, instances.first_triangle))
@@ -110,7 +110,7 @@ def group_meshes(vertices: Tensor, faces: Tensor, instances: Instances, last: Se
 
 
 def equal_groups(parts: Sequence[tuple[Tensor, Tensor]], last: Sequence[GroupMesh]) -> list[bool]:
-    """Whether each group of `last` has the triangles of the part at its place, by one question to the device."""
+    """For each group of `last`, whether it has the triangles of the part with its index; the device is read once."""
     alike = [each.vertices.shape == vertices.shape and each.faces.shape == faces.shape
              for each, (vertices, faces) in zip(last, parts)]
     found = iter(answered([((each.vertices == vertices).all() & (each.faces == faces).all())
@@ -133,7 +133,7 @@ def new_group(vertices: Tensor, faces: Tensor, stream: wp.Stream | None) -> Grou
 
 @wp.struct
 class Cursor:
-    """A place in the upper tree."""
+    """The state of a walk through the tree over instances: a node, and the nodes left to visit."""
 
     node: int  # 0: behind the last one
     pending: int  # bits: whether the neighbour of the node, of its parent and so on is still to be visited
@@ -141,7 +141,7 @@ class Cursor:
 
 @wp.struct
 class GroupRay:
-    """A ray in the frame of a group, in the numbers of its tree."""
+    """A ray in the frame of a group, in the units of its tree."""
 
     o: wp.vec3  # where it enters the ball around the group, or begins in it
     d: wp.vec3
@@ -163,7 +163,7 @@ def box_entry(nodes: wp.array(dtype=wp.vec4), node: int, o: wp.vec3, inverse: wp
 
 @wp.func
 def back(cursor: Cursor) -> Cursor:
-    """Goes from a node that is done to the next one."""
+    """Moves on from a node that is done to the next node to visit."""
     node, pending = int(cursor.node), int(cursor.pending)
     if pending == 0:
         return Cursor(0, 0)
@@ -176,7 +176,7 @@ def back(cursor: Cursor) -> Cursor:
 @wp.func
 def next_instance(nodes: wp.array(dtype=wp.vec4), leaves: int, o: wp.vec3, inverse: wp.vec3, end: float,
                   cursor: Cursor) -> Cursor:
-    """Goes on to a leaf whose box the ray enters before `end`, the nearer one of two neighbours first."""
+    """Moves on to the next leaf whose box the ray enters before `end`, the nearer one of two neighbours first."""
     at = Cursor(cursor.node, cursor.pending)
     while at.node > 0 and at.node < leaves:
         first, second = box_entry(nodes, 2 * at.node, o, inverse), box_entry(nodes, 2 * at.node + 1, o, inverse)

@@ -18,7 +18,7 @@ class Query:
 
 @wp.func
 def factor_of(d: wp.vec3) -> float:
-    """What a direction is multiplied with so that divisions stay in range."""
+    """The factor that scales a direction so that divisions by it stay in range."""
     largest = wp.max(wp.abs(d))
     return wp.where(largest > LARGEST, 1.0 / LARGEST, wp.where(largest < 1.0 / LARGEST, LARGEST, 1.0))
 
@@ -38,7 +38,7 @@ def query_of(unit: float, ox: float, oy: float, oz: float, dx: float, dy: float,
 
 @wp.func
 def is_beyond(lane: int, last: wp.array(dtype=wp.int64), rays: wp.array(dtype=wp.int64)) -> bool:
-    """Whether there are fewer lanes than threads, where only the device knows; their number is added to that of rays."""
+    """True if a thread's lane lies beyond the number of lanes `last[0]`, which thread 0 adds to the count of rays."""
     if not last:
         return False
     if lane == 0:

@@ -16,7 +16,7 @@ WIDER = 2.0**-20  # how much wider boxes are, in units of the mesh's extent: eno
 
 
 def triangle_tree(corners: Tensor, stream: wp.Stream | None) -> wp.Mesh:
-    """Builds a tree of triangles.
+    """Builds Warp's tree over triangles.
 
     Args:
         corners: (F, 3, 3) float32, as by `in_units`.
@@ -42,7 +42,7 @@ def power_of_2_units(extent: float) -> float:
 
 
 def in_units(corners: Tensor, unit: float | Tensor) -> Tensor:
-    """The corners of triangles, (F, 3, 3) float32, scaled. Triangles without area are points, of which Warp is sure."""
+    """The corners of triangles, (F, 3, 3), scaled; those without area become points, which rays surely miss."""
     corners = corners * unit
     first, second, third = corners.double().unbind(1)
     flat = (torch.linalg.cross(second - first, third - first) == 0).all(dim=1)

@@ -113,10 +113,10 @@ def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None,
 
     Args:
         integrand: of the detached scene.
-        asked: the same as it is differentiated.
+        asked: the same with the settings by which the backward pass differentiates it.
         attached: of the attached scene, if derivatives are recorded by autograd; else None.
-        start: makes so many camera paths.
-        wanted: of each leaf of the scene, whether its derivative is.
+        start: makes a given number of camera paths.
+        wanted: for each leaf of the scene, whether the derivative by it is wanted.
     """
     numbered = numbered_leaves(integrand.scene, wanted)
 
@@ -174,7 +174,7 @@ def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None,
 
 
 def without_modules(numbered: SceneTensors) -> SceneTensors:
-    """The numbers of leaves, see `numbered_leaves`, without those of modules."""
+    """The record of leaf numbers, see `numbered_leaves`, with those of modules' parameters left out."""
     def emptied(bank):
         return bank._replace(parameters=tuple((None,) * len(own) for own in bank.parameters)) if (
             isinstance(bank, ModuleBank)) else bank
@@ -183,7 +183,7 @@ def without_modules(numbered: SceneTensors) -> SceneTensors:
 
 
 def held_of(integrand: Integrand) -> float:
-    """Greatest bytes per lane of adjoints of modules' values: rows, inputs and adjoints."""
+    """The greatest bytes per lane of textures' modules in the backward pass: rows, inputs, and adjoints of values."""
     layout = integrand.scene.layout
     values = max(number_outside(layout, scatterer, integrand.settings.nee) for scatterer in (None, *layout.appearances))
     return values * (torch.int32.itemsize + 2 * len(Vec3._fields) * integrand.scene.lights.choice.pmf.dtype.itemsize)

@@ -11,6 +11,6 @@ from torch_radbp.tensors.differentiated import primal
 
 
 def cast_triangles(triangles: TriangleTable, placed: Sequence[PlacedShape] = ()) -> CastTriangles:
-    """The triangles of a scene, detached; `placed`: the shapes that they are of, if these are known."""
+    """The triangles of a scene, detached; `placed`: the shapes to which they belong, if these are known."""
     return CastTriangles(triangles.vertices.p.map(primal), triangles.corners, triangles.balls, triangles.casting_instances,
                          tuple(shape.vertices for shape in placed))

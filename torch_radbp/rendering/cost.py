@@ -80,7 +80,7 @@ def traced_together(adjoint, lanes: int, max_depth: int, rr_depth: int, dtype: t
     """True if the samples of an image and of its derivative are so few that they are traced as one wavefront.
 
     A wavefront of some thousand lanes takes as long as one of half as many, most of it in Python. The records of all are
-    kept until the backward pass, so they must fit what is kept of a chunk, and nothing may be taken again.
+    kept until the backward pass, so they must fit what is kept of a chunk, and no step may have to be taken again.
 
     Args:
         adjoint: the strategy.

@@ -36,7 +36,7 @@ OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those
 
 
 def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> str:
-    """Which light is that of paths that begin at lamps, as of `Settings`; says so where the user has not.
+    """Which light comes by paths from lamps: "camera" (none), "caustics" or "all"; where the user left it open, it warns.
 
     Raises:
         ValueError: for caustics of lamps with an extent whose derivatives would be wrong, if they are asked for.
@@ -58,20 +58,20 @@ def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> 
 
 
 def caustics_by_default(renderer: Renderer, call: RenderCall, turned: bool) -> bool:
-    """Whether paths begin at lamps where the user has not said so; `turned`: mirrors turn in which lamps are seen."""
+    """True if caustics come by paths from lamps by default; `turned`: mirrors in which lamps are seen turn."""
     if renderer.jump_watch.caustic is not None:
         return call.can_begin_at_lamps and not counts_edges_twice(renderer, call)
     return turned and call.can_follow_to_the_film and renderer.sampling != "attached"
 
 
 def counts_edges_twice(renderer: Renderer, call: RenderCall) -> bool:
-    """Whether attached directions slide over edges beside which the light is found that comes by paths from lamps, too."""
+    """True if edges over which attached directions slide would count twice: paths from lamps have their effect, too."""
     return renderer.sampling == "attached" and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
 
 
 def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tuple[Tensor, RenderCall]:
-    """The images of a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps, attached, in either mode; and
-    the call as boundary terms take it.
+    """Renders a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps, attached in forward and backward
+    mode; also returns the call by which boundary terms are computed.
 
     Args:
         renderer: has the settings.
@@ -89,7 +89,7 @@ def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tu
 
 
 class CallsOfLight(NamedTuple):
-    """The calls whose light is that of an image, each its own."""
+    """The calls whose images add up to an image, each with its own share of the light."""
 
     whole: RenderCall  # of all light by paths from the camera, as boundary terms take it
     of_cameras: RenderCall | None  # None: paths from the camera bring nothing
@@ -97,7 +97,7 @@ class CallsOfLight(NamedTuple):
 
 
 def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> CallsOfLight:
-    """Shares the light of a call among paths from the camera and from lamps; nothing is said.
+    """Divides the light of a call among paths from the camera and paths from lamps, without warnings.
 
     Args:
         renderer, call: as for `shared_image`.
@@ -125,7 +125,7 @@ def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> Ca
 
 
 def calls_traced(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
-    """The calls of which the image of a call is the sum, for predictions: of paths from lamps all that may belong to it."""
+    """The calls whose images may add up to the image of a call, for predictions; with paths from lamps if in doubt."""
     chosen = renderer.light_paths
     if chosen == "auto":
         mirrors = any(look.kind.delta for look in call.scene.layout.appearances)
@@ -142,7 +142,7 @@ def narrow_materials(call: RenderCall) -> Tensor | None:
 
 
 def with_narrow_materials(call: RenderCall, narrow: Tensor | None) -> RenderCall:
-    """A call whose scene knows the materials of small roughness."""
+    """A call with the flags of materials of small roughness in the tables of its scene."""
     def knowing(scene: SceneTensors) -> SceneTensors:
         return scene._replace(materials=scene.materials._replace(narrow=narrow))
 
@@ -152,7 +152,7 @@ def with_narrow_materials(call: RenderCall, narrow: Tensor | None) -> RenderCall
 
 
 def sharing(call: RenderCall, light_paths: str, most: int | None) -> RenderCall:
-    """A call whose paths share light with those from the other end; of at most `most` vertices, if it is given."""
+    """A call whose paths have only their share of the light beside those from the other end; of at most `most` vertices."""
     def shared(integrand: Integrand) -> Integrand:
         depth = integrand.max_depth if most is None else min(integrand.max_depth, most)
         return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), max_depth=depth, parts={})
@@ -162,12 +162,12 @@ def sharing(call: RenderCall, light_paths: str, most: int | None) -> RenderCall:
 
 
 def lights_of_paths(scene: SceneTensors, light_paths: str) -> list[LightKind]:
-    """The kinds of light at which paths begin: caustics of the surroundings are the camera's."""
+    """The kinds of light at which paths begin; caustics of an environment are left to paths from the camera."""
     return [kind for kind in scene.layout.lights if light_paths == "all" or not kind.surround]
 
 
 def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
-    """The warning that no term has the edges that light from lamps passes."""
+    """The warning that derivatives lack edges past which paths from lamps bring light."""
     light, lack = ("caustics", "what edges and borders of shadows contribute to the derivatives of that light is left out, "
                    "or not exact") if light_paths == "caustics" else (
         "light", "left out, or not exact, is what edges contribute to its derivatives that it passes on its way to or from "
@@ -179,7 +179,7 @@ def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
 
 
 def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tensor:
-    """(1, 3, H, W) what paths from lamps bring to the image of view `number`; attached to the scene, in either mode."""
+    """(1, 3, H, W) the part of view `number`'s image by paths from lamps; attached to the scene, forwards and backwards."""
     call, view = own.of_lamps[number], own.whole.views[number]
     settings = call.integrand.settings
     if any_differentiated((call.scene.triangles, view.camera, call.source.ray)):

@@ -104,7 +104,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 
 def lane_bytes(record) -> int:
-    """The bytes of one lane of a record."""
+    """The bytes that one lane takes in a record of tensors."""
     return sum(leaf.element_size() for leaf in leaves_of(record) if isinstance(leaf, Tensor))
 
 
@@ -114,7 +114,7 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
     Args:
         integrand: of the detached scene.
         pilot: the paths.
-        triangles: whether the memo of the backward pass has the adjoints of triangles.
+        triangles: whether the backward pass carries adjoints of triangles from vertex to vertex.
     """
     with torch.no_grad():
         step = take_step(integrand, pilot, 0)[-1]
@@ -166,7 +166,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     """Predicts the bytes of a forward and backward pass.
 
     Args:
-        work: what is to be done.
+        work: of the call.
         chunk: lanes traced together.
         adjoint: the strategy.
         record_bytes: that are kept between the passes at most.
@@ -213,9 +213,9 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
 
 
 def predict_all(works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy, record_bytes: float = inf) -> MemoryPlan:
-    """As `predict`, of what is done one after the other: paths from the camera, and paths from lamps.
+    """Predicts the bytes of several works one after the other: paths from the camera, and paths from lamps.
 
-    What is kept for the derivative, and images, are there at the same time, and `working` is that of the worst.
+    What is kept for the derivative, and the images, add up; `working` is that of the largest work.
     """
     plans, images = [], sum(work.images for work in works)
     for work in works:
@@ -254,7 +254,7 @@ def _candidates(chunk: int, adjoint: AdjointStrategy | None,
 
 
 def bytes_text(count: float) -> str:
-    """Bytes as text, in binary units."""
+    """A number of bytes as text, in binary units."""
     unit = max((unit for unit in UNITS if UNITS[unit] <= count and len(unit) != 2), key=UNITS.get, default="B")
     return f"{count / UNITS[unit]:.3g} {unit}"
 

@@ -8,11 +8,11 @@ from torch_radbp.call.render_call import RenderCall
 
 
 def cameras_see_own_light(call: RenderCall) -> bool:
-    """False if no camera of a call sees a lamp or a surface that scatters narrowly, so that with "all" paths from it bring
-    nothing. True where that would take long to find out.
+    """False if no camera of a call sees a lamp or a surface of small roughness, so that with light_paths="all" paths from
+    cameras bring nothing; true also where it would take long to find out.
 
     Args:
-        call: with the narrow materials that there are.
+        call: whose scene tells the materials of small roughness.
     """
     scene, layout = call.still_scene, call.scene.layout
     paths = call.spp * sum(view.width * view.height for view in call.views)

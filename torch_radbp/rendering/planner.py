@@ -36,10 +36,10 @@ class MemoryPlanner:
 
         Args:
             call: with the chunks and the strategy that it would have without a budget.
-            traced: what it consists of, one after the other: calls with the same strategy and no larger chunks.
+            traced: the calls whose images add up to it, with the same strategy and no larger chunks.
             budget: bytes, or a string such as "2GiB"; None: the call is left as it is.
             adjoint_is_chosen: within a budget the strategy of the call is kept, too.
-            terms: of derivatives, that are asked for.
+            terms: the terms of derivatives to compute, see `Renderer`.
         """
         works = [self.workload(each) for each in traced]
         works[0] = works[0]._replace(jumps=bytes_of_edges(call, PRIMARY in terms, SHADOW in terms))
@@ -72,7 +72,7 @@ class MemoryPlanner:
         Args:
             call: whose scene, with what is differentiated in it, and whose strategy tell its kind.
             integrand: of the call, detached and eager.
-            triangles: the memo of the backward pass has the adjoints of triangles.
+            triangles: the backward pass carries adjoints of triangles from vertex to vertex.
         """
         wanted = tuple(isinstance(leaf, Tensor) and leaf.requires_grad for leaf in tree_flatten(call.scene)[0])
         taped = call.adjoint.taped

@@ -18,8 +18,8 @@ from torch_radbp.tensors.differentiated import primal
 
 def named_quantities(renderer, call: RenderCall, edges: EdgesOfCall, outputs: dict[str, str],
                      channels: Tensor | None = None) -> dict[str, Tensor]:
-    """AOV images by name, of a renderer; `call`, `channels`: as for `render_aovs`, `edges`: of the call, `outputs`: the
-    quantities by name."""
+    """Renders AOV images by name, with all terms of their derivatives. `call`, `channels`: as for `render_aovs`; `edges`: of
+    the call; `outputs`: the quantities by name."""
     names = tuple(dict.fromkeys(outputs.values()))
     if call.scene.layout.surround is not None and not renderer.hide_emitters:
         renderer.jump_watch.say(alpha_of_surroundings(names))
@@ -31,12 +31,12 @@ def named_quantities(renderer, call: RenderCall, edges: EdgesOfCall, outputs: di
 
 
 def aov_jumps(call: RenderCall, jumps: list[Jumps], names: tuple[str, ...]) -> dict[str, Tensor]:
-    """Boundary terms of AOV images: by name, zeros with the derivative that surface edges contribute; see `image_jumps`.
+    """Boundary terms of AOV images, by name: zeros whose derivative is what edges of surfaces contribute.
 
     Args:
-        call: of which something moves.
-        jumps: of each view.
-        names: of quantities; those that have no derivative are left out.
+        call: in which shapes or cameras are differentiated.
+        jumps: the edges in each view.
+        names: of AOVs; those without derivatives are left out.
     """
     names = tuple(name for name in names if plain(name) not in UNDIFFERENTIATED)
 

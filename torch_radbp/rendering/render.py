@@ -38,7 +38,7 @@ def render(scene: Scene, *, spp: int | None = None, seed: int | None = None, sen
 def render(scene: Scene, *, spp: int | None = None, seed: int | None = None, sensors: SensorChoice = None,
            seed_grad: int | None = None, aovs: Sequence[str] | None = None, window: WindowChoice = None,
            **settings: Unpack[RendererSettings]) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-    """`Renderer(scene, spp, **settings)(seed, sensors, seed_grad=seed_grad, aovs=aovs, window=window)`: see `Renderer`.
+    """Renders a scene once, as `Renderer(scene, spp, **settings)(seed, sensors, ...)` does; see `Renderer`.
 
     A loop is faster with one renderer: it keeps what has not changed since its last call.
 

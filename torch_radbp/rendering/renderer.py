@@ -108,8 +108,8 @@ class Renderer(nn.Module):
             samples of both are traced together, in the forward pass: an image whose derivative nobody will ask for is
             cheaper under `torch.no_grad()`. Of what the shared paths need, as much is kept until the backward pass as takes
             an eighth of the machine's memory; the rest is traced again.
-        light_paths: which light comes by paths that begin at lamps, as many as from the camera, as far as these see it other
-            than in mirrors and through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
+        light_paths: which light is found by paths that begin at lamps, as many as from the camera, where the camera does not
+            see it in mirrors or through glass. "camera": none; "caustics": what comes by way of a mirror or glass beside a
             lamp; "all"; "auto": "caustics" where a light without extent has some, and for derivatives that turn mirrors or
             glass in which surfaces see lamps, whose edges they lack otherwise. None: as the integrator element says.
 
@@ -218,7 +218,7 @@ class Renderer(nn.Module):
 
     def rendered(self, seed: int | None, sensors: SensorChoice, spp: int | None, seed_grad: int | None,
                  aovs: Sequence[str] | None, window: WindowChoice) -> Tensor | tuple[Tensor, dict[str, Tensor]]:
-        """What `forward` returns, which may presume."""
+        """Renders as `forward` says; it may presume flags that only the device knows, see `Presumptions`."""
         outputs = None if aovs is None else self.outputs(aovs)
         call = self.prepare(seed, sensors, spp, seed_grad, aovs is not None, window)
         self.noise_watch.look(seed, call.parameters)
@@ -232,7 +232,7 @@ class Renderer(nn.Module):
         return images if outputs is None else (images, named_quantities(self, call, edges, outputs, channels))
 
     def forget(self) -> None:
-        """Forgets all that was packed for the last calls."""
+        """Drops the caches of tables packed for the last calls."""
         self.cache, self.cache_for_aovs = PackCache(), PackCache()
 
     @public_call

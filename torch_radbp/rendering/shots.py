@@ -18,7 +18,7 @@ WindowChoice = Part | Sequence[Part] | None  # of all sensors, or of each; None:
 
 
 def shots_of(scene: Scene, sensors: SensorChoice, window: WindowChoice) -> list[Shot]:
-    """The shots for the chosen sensors and windows.
+    """The images to render, a `Shot` each, for the chosen sensors and windows.
 
     Raises:
         ValueError: if there is no such sensor, a window is none or lies outside of the image, or the sizes differ.

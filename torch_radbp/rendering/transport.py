@@ -24,15 +24,15 @@ Keys = tuple[SampleKey, SampleKey]  # of random numbers: of the image, and of it
 
 def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink, lanes: int,
               seed: int | None = None) -> Tensor:
-    """What a sink has of paths that begin at a source; attached to the scene and to the source's tensors, in either mode.
+    """The values that a sink gathers from paths of a source; attached to scene and source, in forward and backward mode.
 
     Its derivatives are those of radiance along each path; where rays have no area, jumps at the edges of what moves are left
     out, which a `SilhouetteWarning` says.
 
     Args:
         renderer: has the scene, the strategy of the backward pass and all other settings.
-        source: makes the source from the keys of its random numbers.
-        sink: where radiance goes.
+        source: makes the source of paths from the keys of its random numbers.
+        sink: receives the radiance of each path.
         lanes: how many paths there are.
         seed: as for a rendering.
 

@@ -42,7 +42,7 @@ class ZeroGradientWarning(UserWarning):
 
 
 class UsedImage(NamedTuple):
-    """An image in a backward pass that the loss uses."""
+    """An image that the loss of a backward pass uses."""
 
     sensor: str | None  # its name, if the loss uses its whole image, black pixels aside
     share: float  # fraction of all images of the scene
@@ -161,7 +161,7 @@ def which_see(parameter: str, sensors: list[str]) -> list[str]:
 
 
 def look_of(view: View, sensors: Mapping[str, Sensor]) -> UsedImage:
-    """The record of an image of which a loss uses everything; `sensors`: all of the scene."""
+    """The `UsedImage` of a view of which the loss uses everything; `sensors`: all of the scene."""
     name = next((name for name, sensor in sensors.items() if sensor is view.sensor), None)
     if name is None:
         return UsedImage(None, RAYS)

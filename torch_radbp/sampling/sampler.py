@@ -248,6 +248,6 @@ def uniform(key: BounceKey, dimension: int, dtype: torch.dtype) -> Tensor:
 
 
 def next_number(seed: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The next seeds of lanes, int32, and numbers uniform in [0, 1), (N,) each; where it is open how many it takes."""
+    """The next seeds of lanes, int32, and uniform numbers in [0, 1), (N,) each, for loops that take any number of them."""
     seed = hash32(seed + INCREMENT)
     return seed, unit(seed, dtype)

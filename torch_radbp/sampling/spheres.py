@@ -21,7 +21,7 @@ class BoundingSphere(NamedTuple):
 
 
 class Towards(NamedTuple):
-    """Directions towards spheres, or points on rays that meet them, and their densities, (N,), detached."""
+    """Sampled directions towards spheres, or points on rays that meet spheres, and their densities, (N,), detached."""
 
     d: Vec3  # unit direction, or a point
     density: Tensor  # over solid angle, or over the area across the rays
@@ -29,10 +29,10 @@ class Towards(NamedTuple):
 
 
 def towards_spheres(spheres: Sequence[BoundingSphere], p: Vec3, choice: Tensor, across: Vec2) -> Towards:
-    """Samples directions from points into the cones around spheres, evenly; all of them where a point lies in a sphere.
+    """Samples directions from points uniformly within the cones around spheres; all directions where a point is inside one.
 
     Args:
-        spheres: some.
+        spheres: at least one.
         p: (N,) the points, detached.
         choice, across: (N,) uniform numbers in [0, 1).
     """
@@ -55,7 +55,7 @@ def rays_to_spheres(spheres: Sequence[BoundingSphere], d: Vec3, choice: Tensor, 
     """Samples points on parallel rays through spheres, evenly over the discs in which these are seen.
 
     Args:
-        spheres: some.
+        spheres: at least one.
         d: (N,) unit direction of the rays, detached.
         choice, across: as for `towards_spheres`.
 
@@ -77,7 +77,7 @@ def rays_to_spheres(spheres: Sequence[BoundingSphere], d: Vec3, choice: Tensor, 
 
 
 def chosen_by_size(sizes: Sequence[Tensor], values: Sequence[Vec3], choice: Tensor) -> tuple[Tensor, Vec3, Tensor]:
-    """One of some sizes, with a probability in proportion to it, its value, and the sum of all sizes; (N,)."""
+    """Chooses one of several sizes in proportion to them; that size, its value, and the sum of all sizes, (N,)."""
     total = sum(sizes)
     left, end = choice * total, torch.zeros_like(choice)
     size, value = sizes[-1], values[-1]
@@ -90,5 +90,5 @@ def chosen_by_size(sizes: Sequence[Tensor], values: Sequence[Vec3], choice: Tens
 
 
 def covering(meets: Sequence[Tensor], like: Tensor) -> Tensor:
-    """How many conditions hold, at least one: that of what was sampled does but for rounding."""
+    """How many conditions hold, at least 1: but for rounding the sampled sphere's does."""
     return sum(condition.to(like.dtype) for condition in meets).clamp_min(1.0)

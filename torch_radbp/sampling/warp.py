@@ -22,7 +22,7 @@ def cosine_hemisphere_pdf(w: Vec3) -> Tensor:
 
 
 def square_to_uniform_sphere(u: Tensor, v: Tensor) -> Vec3:
-    """Directions with density 1 / (4 pi)."""
+    """Directions uniform over the sphere, with density 1 / (4 pi)."""
     z = 1.0 - 2.0 * u
     r, phi = torch.sqrt((1.0 - z * z).clamp_min(0.0)), 2.0 * math.pi * v
     return Vec3(r * torch.cos(phi), r * torch.sin(phi), z)

@@ -29,7 +29,7 @@ GRAZING = 0.05  # cosine to the axis below which a view has no pyramid around it
 
 
 class CameraAttributes(TypedDict, total=False):
-    """Keyword arguments of `Calibrated` that no calibration contains, for readers of calibrations."""
+    """Keyword arguments of `Calibrated` that calibration files do not contain, for readers of such files."""
 
     near_clip: float
     far_clip: float
@@ -274,7 +274,7 @@ class Calibrated(ProjectiveCamera):
             far=matrix.new_tensor(self.far_clip), distortion=model(*(getattr(self, name) for name in model._fields)))
 
     def for_mitsuba(self) -> Plugin:
-        """A `perspective`, if it is one exactly."""
+        """A `perspective` that is exactly this camera; raises ValueError if there is none."""
         beyond = self.beyond_perspective()
         if beyond:
             raise ValueError(f"its sensors have no {', '.join(beyond)}")

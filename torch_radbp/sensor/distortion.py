@@ -53,8 +53,8 @@ class BrownConrady(NamedTuple):
         """Unprojects (N,) points of the image plane to directions with z = 1; attached to both.
 
         Returns:
-            Them, and True where there is one: where none, or only one from beyond the fold of the polynomial, the axis.
-            None: everywhere.
+            The directions, and True where there is one; the axis where there is none, or only one beyond the fold of the
+            polynomial. None: there is one everywhere.
         """
         if all(coefficient is None for coefficient in self):
             return Vec3(point.x, point.y, torch.ones_like(point.x)), None
@@ -126,7 +126,7 @@ def _inverted(plane_map: Callable[[Lens, Vec2], Linearized], lens: Lens, point: 
     """Inverts a map of the plane at (N,) points by Newton's method, attached to the lens and to the points.
 
     Returns:
-        Them, and True where there is one: where none, or only one from beyond a fold of the map, any finite point.
+        The points, and True where there is one; any finite point where there is none, or only one beyond a fold.
     """
     held, target = type(lens)(*(None if k is None else k.detach() for k in lens)), point.map(torch.Tensor.detach)
     x = start.map(torch.Tensor.detach)
@@ -160,7 +160,7 @@ class KannalaBrandt(NamedTuple):
         """Unprojects (N,) points of the image plane to unit directions; attached to both.
 
         Returns:
-            Them, and True where there is one less than half a circle off the axis: where none, the axis.
+            The directions, and True where there is one less than half a circle off the axis; elsewhere the axis.
         """
         radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
         held, target = KannalaBrandt(*(None if k is None else k.detach() for k in self)), radius.detach()
@@ -206,7 +206,7 @@ class ThinPrismFisheye(NamedTuple):
         """Unprojects (N,) points of the image plane to unit directions; attached to both.
 
         Returns:
-            Them, and True where there is one less than half a circle off the axis: where none, the axis.
+            The directions, and True where there is one less than half a circle off the axis; elsewhere the axis.
         """
         radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
         scale = (0.5 * HALF_CIRCLE / radius).clamp_max(1.0)  # as KannalaBrandt begins
@@ -251,7 +251,7 @@ class FieldOfView(NamedTuple):
         """Unprojects (N,) points of the image plane to directions with z = 1; attached to both.
 
         Returns:
-            Them, and True where there is one: where none, the axis.
+            The directions, and True where there is one; elsewhere the axis.
         """
         radius = torch.sqrt((point.x * point.x + point.y * point.y).clamp_min(TINY))
         angle = radius * self.omega

@@ -189,7 +189,7 @@ class ProjectiveCamera(Sensor):
 
     def place(self, to_world: Matrix4 | None, near_clip: float, far_clip: float, film: Film | None, sampler: Sampler | None,
               medium: Medium | None) -> None:
-        """Stores the attributes that all such cameras have.
+        """Stores the attributes that all cameras with a pose and two clipping planes have.
 
         Raises:
             ValueError: if the planes are out of order, or `to_world` scales and the camera does not take that.

@@ -92,7 +92,7 @@ class PinholeKind(ProjectiveKind):
 
 
 def seen_from(lens: Any, eye: Vec3, p: Vec3, position: Vec2, area: Tensor) -> PointsSeen:
-    """The `PointsSeen` of points from a place in the plane of the lens.
+    """World points as they are seen from a place in the plane of the lens.
 
     Args:
         lens: with an entry for each point, (N,).

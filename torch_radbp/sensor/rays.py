@@ -27,7 +27,7 @@ GRAZING = 0.05  # cosine to the middle of all directions from which on they are 
 
 
 class RayLens(NamedTuple):
-    """N rays in the place of a lens."""
+    """A user's N rays, in the place of a camera's lens."""
 
     o: Vec3  # (N,) world
     d: Vec3  # (N,) unit length

@@ -67,7 +67,7 @@ class ThinLensKind(ProjectiveKind):
         return seen_from(pinhole, p + self.towards(lens, p, aperture), p, position, pinhole.area)
 
     def eye(self, lens: ThinLensLens) -> Tensor:
-        """The middle of the lens: silhouettes are looked for from there."""
+        """The middle of the lens, from which silhouettes are searched for; (4,) homogeneous."""
         return PinholeKind().eye(lens.pinhole)
 
     def aperture_radius(self, lens: ThinLensLens) -> Tensor:

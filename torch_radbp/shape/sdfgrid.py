@@ -22,7 +22,7 @@ NORMALS = ("analytic", "smooth")
 
 @register("shape", "sdfgrid")
 class SDFGrid(Surface):
-    """Where the trilinear interpolant of a grid of signed distances is zero, in the unit cube [0, 1]^3 under `to_world`.
+    """The zero set of the trilinear interpolant of a grid of signed distances, in the unit cube [0, 1]^3 under `to_world`.
 
     Parameters: `grid` (Z, Y, X, 1), `to_world` (4, 4). Derivatives: with respect to both.
 
@@ -68,7 +68,7 @@ class SDFGrid(Surface):
 
     @property
     def faces(self) -> Tensor:
-        """(F, 3) int64; marching cubes run whenever it is read."""
+        """(F, 3) int64, the corners of the triangles; marching cubes run whenever it is read."""
         return net_of(primal(self.grid), self.normals == "analytic").faces
 
     def triangles(self, net: Net | None = None) -> Triangles:

@@ -68,14 +68,14 @@ class Surface(Shape):
 
     @property
     def bounds_media(self) -> bool:
-        """True if it is a boundary of a medium."""
+        """True if the surface is a boundary of a medium."""
         return self.interior is not None or self.exterior is not None
 
     def connections(self) -> tuple[Callable[..., NamedTuple], tuple[Any, ...]] | None:
-        """A function that computes detached facts which `triangles` needs about the shape's values, and its arguments.
+        """A function that computes detached facts about the shape for `triangles`, such as its topology, and its arguments.
 
         Returns:
-            A function of a module and its arguments, tensors and plain values, attached or not; None: it is told nothing.
+            A function of a module and its arguments, tensors and plain values, attached or not; None: there is none.
         """
         return None
 
@@ -94,7 +94,7 @@ class Surface(Shape):
         raise TypeError(f"{type(self).__name__} does not define its triangles")
 
     def oriented(self, *connections: NamedTuple) -> Triangles:
-        """`triangles()`, turned inside out if `flip_normals` is set; `connections`: its own, if it has any."""
+        """`triangles()`, turned inside out if `flip_normals` is set; `connections`: the result of that method's function."""
         surface = self.triangles(*connections)
         if not self.flip_normals:
             return surface

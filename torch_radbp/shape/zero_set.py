@@ -29,7 +29,7 @@ class Net(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """The voxels that contain some points."""
+    """The voxels that contain points, and the points' positions in them."""
 
     voxel: tuple[Tensor, Tensor, Tensor]  # (V,) int64 each, x first
     place: Vec3  # (V,) positions of the points in their voxels, in [0, 1]; attached
@@ -55,7 +55,7 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
 
     Args:
         values: (Z, Y, X), detached.
-        of_voxels: vertices on the border between voxels are one for each.
+        of_voxels: vertices on the border between voxels are repeated, one for each voxel.
     """
     check_grid("the grid", values)
     cells = subdivision(values.shape)
@@ -76,7 +76,7 @@ def zero_net(values: Tensor, of_voxels: bool) -> Net:
 
 def _connected(edges: Tensor, corner: Tensor, number: Tensor | None, voxels: Tensor, cells: int,
                size: tuple[int, ...]) -> Net:
-    """Joins the triangles of cells to a net.
+    """Joins the triangles of single cells to a net with shared vertices.
 
     Args:
         edges: (F, 3), of the cell that a triangle is in.

@@ -19,18 +19,18 @@ Result = TypeVar("Result")
 
 
 class Mistaken(Exception):
-    """Error: something is not as it was presumed, so that what was computed is of no use."""
+    """Error: a presumption was wrong, so that what was computed by it is of no use."""
 
 
 class Inquiry(NamedTuple):
-    """Numbers that are to be fetched, and what is done with them then, which may raise."""
+    """Numbers that are to be fetched from a device, and the function that is then called with them, which may raise."""
 
     numbers: Tensor  # (K,) on a device
     then: Callable[[list[float]], None]
 
 
 class _ThreadState(threading.local):
-    """Thread-local state: the questions that wait, of each context; outside of any they are asked at once."""
+    """Thread-local state: the inquiries that wait in each context of `asked_together`."""
 
     waiting: tuple[list[Inquiry], ...] = ()
     presumes = False
@@ -40,7 +40,7 @@ HERE = _ThreadState()
 
 
 def asked_later(numbers: Tensor, then: Callable[[list[float]], None]) -> None:
-    """Calls `then` with numbers, (K,): at once, if the host knows them or nobody will ask; else in the end."""
+    """Calls `then` with numbers, (K,): at once on the CPU or outside of `asked_together`, else when they are fetched."""
     if numbers.is_cpu or not HERE.waiting:
         then(numbers.tolist())
     else:
@@ -49,7 +49,7 @@ def asked_later(numbers: Tensor, then: Callable[[list[float]], None]) -> None:
 
 @contextmanager
 def asked_together() -> Iterator[None]:
-    """A context in which questions of this thread wait; those that nobody has answered meanwhile are asked at its end."""
+    """A context in which this thread's inquiries wait until `answered` or the context's end fetches all by one transfer."""
     before, own = HERE.waiting, []
     HERE.waiting = (*before, own)
     try:
@@ -61,11 +61,11 @@ def asked_together() -> Iterator[None]:
 
 
 def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] = lambda numbers: True) -> list[float]:
-    """Fetches numbers by one transfer, and does with those that wait what is to be done; none waits afterwards.
+    """Fetches `more` and the numbers of all waiting inquiries by one transfer, and calls the inquiries' functions.
 
     Args:
         more: other numbers, of any shape; they are returned one after the other.
-        counts: of these, whether those that wait in the innermost context are of any use.
+        counts: of these; if false, inquiries of the innermost context are dropped.
     """
     levels = [list(level) for level in HERE.waiting]
     if not any(levels):
@@ -84,12 +84,12 @@ def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] 
 
 
 def presuming() -> bool:
-    """True if this thread may presume what it does not know; see `Presumptions`."""
+    """True if this thread may go on by presumed values of flags that only the device knows; see `Presumptions`."""
     return HERE.presumes
 
 
 def presumed(flag: Tensor, presumption: bool) -> bool:
-    """A flag, () bool: as it is, if the host knows it or may not presume; else as presumed, to be found out in the end."""
+    """A flag, () bool: read at once on the CPU or where nothing may be presumed; else as presumed, and checked later."""
     if flag.is_cpu or not presuming():
         return bool(flag)
     mistaken_if_any(flag != presumption)
@@ -97,7 +97,7 @@ def presumed(flag: Tensor, presumption: bool) -> bool:
 
 
 def mistaken_if_any(differ: Tensor) -> None:
-    """What was presumed is wrong if any of some flags or counts, of whatever shape, is not 0; found out in the end."""
+    """Raises `Mistaken`, when inquiries are answered, if any of some flags or counts, of whatever shape, is not 0."""
     def told(numbers: list[float]) -> None:
         if numbers[0]:
             raise Mistaken
@@ -107,16 +107,16 @@ def mistaken_if_any(differ: Tensor) -> None:
 
 @dataclass
 class Presumptions:
-    """Whether somebody who was never mistaken may presume what is nearly always so; who was is not to be mistaken again."""
+    """Lets a caller go on by presumed values of flags that only a device knows, as long as none of them was wrong."""
 
     mistaken: bool = False
 
     def tried(self, work: Callable[[], Result], forget: Callable[[], None]) -> Result:
-        """What `work` returns, which may presume; it is done once more, by answers, if something was not as presumed.
+        """The result of `work`, which may presume flags; if one was mistaken, it is called again without presumptions.
 
         Args:
-            work: leaves nothing behind that is wrong if a presumption is, but for what `forget` forgets.
-            forget: is called before `work` is done once more.
+            work: after a wrong presumption all that it leaves behind is either right or dropped by `forget`.
+            forget: called before `work` is called again.
         """
         if self.mistaken or HERE.presumes:
             return work()

@@ -58,7 +58,7 @@ def detached(tensors):
 
 
 def moving_with(others, record):
-    """A record whose floating-point tensors all have tangents, zeros where there were none, if one of others has some.
+    """A record whose floating-point tensors all have tangents, zeros where there were none, if any tensor of `others` has.
 
     For what plain torch computes of few numbers. It is much slower with products and sums of a dual tensor and one without
     tangents: in the place of these it puts zeros of a special kind, for whose shape it asks functions in Python.
@@ -77,8 +77,8 @@ def moving_with(others, record):
 def linear(operation: Callable[[Tensor, Tensor | float], Tensor], moving: Tensor, still: Tensor | float) -> Tensor:
     """`operation(moving, still)`, a product or a quotient, which is linear in the first operand.
 
-    It is quick in forward mode where the second operand is a number or has no tangent: of such torch computes tangents by
-    functions in Python, which takes twenty times as long.
+    In forward mode with a second operand that is a number or has no tangent, it is twenty times as fast as torch, which
+    computes the tangent by functions in Python.
     """
     tangent = None if torch.is_grad_enabled() else tangent_of(moving)
     if tangent is None or isinstance(still, Tensor) and tangent_of(still) is not None:

@@ -34,7 +34,7 @@ class Tap:
         self.reads: list[Read] = []
 
     def read(self, index: Tensor, found: Tensor | None = None) -> Tensor:
-        """Gathers the entries at `index`; `found`: see `Read`."""
+        """Gathers the entries at `index`, and records it; `found`: a part of their adjoint that is computed elsewhere."""
         leaf = gather(self.table, index).detach().requires_grad_()
         self.reads.append(Read(index, leaf, found))
         return leaf

@@ -9,8 +9,8 @@ from torch import Tensor
 
 
 def sorted_by_torch(number: Tensor, queues: int) -> tuple[Tensor, Tensor]:
-    """As `partition_by_torch`, but with (queues,) int64 on the device, where each queue ends, in the place of the numbers of
-    lanes: waits for nothing."""
+    """Sorts lanes into queues, stable, without waiting for the device: (N,) int32 the lanes, and (queues,) int64 where each
+    queue ends. Args as for `partition_by_torch`."""
     dtype = torch.uint8 if queues <= 256 else torch.int32  # a radix sort takes a turn for each byte
     numbers, order = number.to(dtype).sort(stable=True)
     queue = torch.arange(queues, dtype=dtype, device=number.device)
@@ -31,5 +31,5 @@ def partition_by_torch(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
 
 
 def lengths(ends: Sequence[int]) -> list[int]:
-    """The numbers of lanes of queues that end at these places, one behind the other."""
+    """The numbers of lanes of consecutive queues that end at these places."""
     return [end - first for first, end in zip([0, *ends], ends)]

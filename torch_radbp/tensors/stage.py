@@ -26,9 +26,9 @@ def stage(*tables: str, repeats: str | None = None) -> Callable[[Function], Func
     Args:
         tables: names of the arguments that are read at indices, of any length; tensors of shape (N,) in the others have a
             value for each lane.
-        repeats: the name of the table that the stage returns anew, of its lanes, as it is a turn later: a record with a flag
-            `running`. Where kernels repeat by themselves (`Target.repeats`) a call goes on until the flag of each lane is
-            false; elsewhere it takes one turn. None: the stage is none of these.
+        repeats: the name of the table, a record with a flag `running`, whose next state the stage returns for its lanes.
+            Where kernels repeat by themselves (`Target.repeats`) a call goes on until the flag of each lane is false;
+            elsewhere it makes one step. None: the stage is not repeated.
     """
     def declare(function: Function) -> Function:
         DECLARED[function] = tables
@@ -51,7 +51,7 @@ class Stage(Protocol):
     def __call__(self, *arguments): ...
 
     def knowing(self, *arguments) -> Stage:
-        """The same stage, prepared for calls whose first arguments are these objects."""
+        """A copy of the stage, prepared for calls whose first arguments are these objects."""
 
     def taken(self, **arguments) -> tuple:
         """Prepares arguments, given by name, for several calls."""

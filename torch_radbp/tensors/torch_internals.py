@@ -94,9 +94,9 @@ def unpacked_dual(tensor: Tensor) -> tuple[Tensor, Tensor | None]:
 
 @contextmanager
 def same_versions(tensors: Sequence[Tensor]) -> Iterator[None]:
-    """What is written into tensors inside does not count as a change: in the end they hold again what they held before.
+    """A context in which autograd does not count writes into tensors, which hold the old values again at its end.
 
-    Where torch lacks this it does count, and graphs that have saved these tensors cannot be run backwards any more.
+    Where torch lacks this they count, and graphs that have saved these tensors cannot be run backwards any more.
     """
     keep = getattr(torch.autograd, "_unsafe_preserve_version_counter", None)
     with nullcontext() if keep is None else keep(tuple(tensors)):
@@ -130,8 +130,8 @@ def unwrapped(tensor: Tensor | None) -> Tensor | None:
 def operations_on_this_thread() -> Iterator[int]:
     """Keeps torch's operations in this thread single-threaded; yields the number of threads that they would have had.
 
-    `torch.set_num_threads` sets a number of this thread, and one that threads begin with which ask for the first time: of
-    the user's, some might do so just then. OpenMP and MKL are told the former alone, where their functions are found.
+    `torch.set_num_threads` would also set the number with which other threads, such as the user's, begin; so OpenMP and MKL
+    are told that of this thread alone, where their functions are found.
     """
     number = torch.get_num_threads()  # the first time, a thread takes over the default: not later, instead of what is set
     if number == 1:

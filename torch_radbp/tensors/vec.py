@@ -196,7 +196,7 @@ def crossing(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3) -> tuple[Tensor, Tensor, Te
 
 
 def both(first: Tensor, second: Tensor | None) -> Tensor:
-    """Where two conditions hold, bool; None: the second does everywhere."""
+    """True where two conditions hold, bool; a second one of None holds everywhere."""
     return first if second is None else first & second
 
 

@@ -37,7 +37,7 @@ def table_adjoints(tap: Tap, adjoints: Iterator[Tensor | None]) -> list[TableAdj
 
     Args:
         tap: of the table.
-        adjoints: of its leaves come next.
+        adjoints: its next items are those of the table's gathered entries.
     """
     found = []
     for read in tap.reads:

@@ -93,7 +93,7 @@ class PyramidReader(BitmapReader):
 
 
 def _along(slope: Vec2, edges: TriangleEdges) -> Vec2:
-    """The change along two edges of a triangle, from the derivatives by u and by v."""
+    """The change of a texture along two edges of a triangle, from its derivatives by u and by v."""
     return Vec2(*(slope.x * edge.x + slope.y * edge.y for edge in edges.uv))
 
 

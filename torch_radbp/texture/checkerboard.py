@@ -21,7 +21,7 @@ from torch_radbp.texture.uv_transform import jump_lines, transformed, uv_matrix,
 
 
 class CheckerboardBank(NamedTuple):
-    """The table of X checkerboards."""
+    """The table of X checkerboards: their transforms, and the table of their colours."""
 
     to_u: Vec3  # (X,) rows of the transforms: u' = x u + y v + z
     to_v: Vec3

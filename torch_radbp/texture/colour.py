@@ -17,7 +17,7 @@ from torch_radbp.tensors.vec import Vec2, Vec3
 
 @dataclass(frozen=True)
 class ColourReader(TableReader):
-    """Looks constant colours up, for lanes. Bank (table of textures): (R,) linear RGB."""
+    """Looks constant colours up, for lanes. Bank (table of R textures): (R,) linear RGB."""
 
     needs_uv: ClassVar[bool] = False
 

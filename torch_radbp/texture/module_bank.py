@@ -65,7 +65,7 @@ class ModuleCopies:
         self.made: dict[tuple[int, int], ModuleFunction] = {}
 
     def of(self, module: int) -> ModuleFunction:
-        """This thread's copy of a module."""
+        """This thread's copy of the module with a given index."""
         key = module, get_ident()
         if key not in self.made:
             self.made[key] = self.functions[module].with_parameters(self.parameters[module])
@@ -84,7 +84,7 @@ class ModuleBank(NamedTuple):
         Args:
             row: (N,) int32, which of the modules gives each lane its value; -1: none, and the value is 0.
             at: (N,) where.
-            lanes: of `sorted`, if it is known.
+            lanes: what `sorted` returns for them, if already known.
         """
         functions = ModuleCopies(self.functions, self.parameters)
 
@@ -113,9 +113,9 @@ class ModuleBank(NamedTuple):
         """The gradients of parameters: module, number of the parameter, and its gradient, float64.
 
         Args:
-            wanted: of each module and each of its parameters.
+            wanted: for each parameter of each module, whether its gradient is wanted.
             row, at: as for `values`.
-            adjoint: (N,) of the values; modules run where it is not 0.
+            adjoint: (N,) the adjoints of the values; modules run where they are not 0.
         """
         row = torch.where((adjoint.x != 0) | (adjoint.y != 0) | (adjoint.z != 0), row, -1)
         leaves_of_modules = [[parameter.detach().requires_grad_(want) for parameter, want in zip(*pair)]
@@ -162,13 +162,13 @@ class ModuleBank(NamedTuple):
 
         Args:
             row: as for `values`.
-            parameters: a place that a batch may have at the most.
+            parameters: the most parameters of a module for each place of a batch, which limits the number of batches.
         """
         order, ends = sorted_by_torch(row + 1, len(self.functions) + 1)
         return self.divided(row, order, ends.tolist(), parameters)
 
     def divided(self, row: Tensor, order: Tensor, ends: Sequence[int], parameters: float = torch.inf) -> Sorted:
-        """Lanes in batches, of those sorted by module; args as for `sorted` and as it is told by `sorted_by_torch`."""
+        """Divides lanes into batches; `order`, `ends`: as `sorted_by_torch` returns them, the other args as for `sorted`."""
         counts = lengths(ends)
         batches, first = [], counts[0]
         for module, count in enumerate(counts[1:]):
@@ -178,7 +178,7 @@ class ModuleBank(NamedTuple):
         return Sorted(None if len(row) in counts else order, batches)
 
     def size(self, module: int, device: torch.device, parameters: float = PARAMETERS) -> float:
-        """The greatest batch size of a module; args as for `sorted`."""
+        """The greatest number of places in a batch of a module; args as for `sorted`."""
         if device.type != "cpu":
             return torch.inf
         return max(BATCH, sum(map(Tensor.numel, self.parameters[module])) / parameters)
@@ -191,7 +191,7 @@ def length_of_batches(count: int, most: float) -> int:
     equally much to do. The number of threads itself must not matter, for sums of gradients would be other ones.
 
     Args:
-        most: places of a batch.
+        most: the number of places in a batch.
     """
     if 2 * count <= most:
         return max(1, count)

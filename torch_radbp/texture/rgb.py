@@ -45,7 +45,7 @@ class RGB(Colour):
 
 
 def on_lights(texture: Texture) -> bool:
-    """True if an emitter may read a texture, and all that it is made of."""
+    """True if emitters can be given a texture, and all textures that it is made of."""
     return texture.on_lights and all(map(on_lights, texture.parts()))
 
 

@@ -10,7 +10,7 @@ from torch_radbp.texture.rgb import RGB
 
 @register("texture", "uniform")
 class Uniform(RGB):
-    """The same value in all channels: in an emitter, too, as in Mitsuba's RGB modes.
+    """A constant with the same value in all channels: in an emitter, too, as in Mitsuba's RGB modes.
 
     Parameters: `value`, (). Derivatives: with respect to it.
 

@@ -34,12 +34,12 @@ class CovarianceOfParameters(NamedTuple):
 
     @property
     def standard_deviations(self) -> dict[str, Tensor]:
-        """By parameter, in its shape and units, float64; infinite for what takes part in a flat direction."""
+        """Standard deviations by parameter, in its shape and units, float64; infinite where a flat direction takes part."""
         return self.problem.by_name(self.matrix.diag().sqrt())
 
     @property
     def correlations(self) -> Tensor:
-        """(n, n) float64; NaN for what is flat."""
+        """(n, n) float64, the correlations of the parameters; NaN for those that take part in a flat direction."""
         deviation = self.matrix.diag().sqrt()
         deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
         return self.matrix / deviation / deviation[:, None]
@@ -118,7 +118,7 @@ def covariance(images: Renderer | Images, targets: Tensor | Sequence[Tensor], pa
 
 
 def covariance_of(problem: Problem, hessian: DenseCurvature, prior: Tensor) -> CovarianceOfParameters:
-    """The covariance of a curvature, (n, n), and the precision of a prior, (n,)."""
+    """The covariance that follows from a curvature, (n, n), and the precision of a prior, (n,)."""
     values, names = problem.linear.position().cpu(), problem.entries
     own, error = hessian.along(torch.eye(len(values), dtype=torch.float64))
     seen = (own > ERRORS * error) & (own > 0) | (prior > 0)
@@ -143,7 +143,7 @@ def covariance_of(problem: Problem, hessian: DenseCurvature, prior: Tensor) -> C
 
 
 def correlated(matrix: Tensor, values: Tensor, names: list[str]) -> list[str]:
-    """Strongly correlated pairs of parameters in words, strongest first: the changes of both that images hardly tell."""
+    """Strongly correlated pairs of parameters in words, strongest first, with the joint change that images hardly show."""
     deviation = matrix.diag().sqrt()
     deviation = torch.where(deviation.isfinite(), deviation, torch.nan)
     correlation = matrix / deviation / deviation[:, None]
@@ -192,7 +192,7 @@ def diagonal_covariance(images: Renderer | Images, parameters: Parameters, *, no
 
 
 class PosteriorSamples(NamedTuple):
-    """What fits may be off by, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
+    """Samples x of errors of fits, in units of the prior's deviations S: (S H S + 1) x = b = S J^T Sigma^-1/2 e + f."""
 
     found: Tensor  # (K, n) float64, x
     drawn: Tensor  # (K, n) b
@@ -201,7 +201,7 @@ class PosteriorSamples(NamedTuple):
 
 
 def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) -> PosteriorSamples:
-    """So many samples, for a prior of deviations `spread`, (n,)."""
+    """Draws `probes` samples of what fits may be off by, for a prior of standard deviations `spread`, (n,)."""
     import numpy
     from scipy.sparse.linalg import LinearOperator, cg
 
@@ -213,7 +213,7 @@ def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) 
         return spread * linear.backward(residuals, seed, problem.spp).cpu()
 
     def product(direction):
-        """Its eigenvalues are at least 1."""
+        """(S H S + 1) times a direction; the eigenvalues of this matrix are at least 1."""
         vector = spread * torch.from_numpy(direction.reshape(-1))
         return (spread * hessian.product(vector, 1, independent=False).value).numpy() + direction.reshape(-1)
 
@@ -236,11 +236,11 @@ def posterior_samples(problem: Problem, spread: Tensor, probes: int, seed: int) 
 
 
 def variance_by(samples: PosteriorSamples) -> tuple[Tensor, Tensor]:
-    """The mean of x^2, (n,), less what tells how far it is off, by regression; and its standard error.
+    """The variance of fits, the mean of x^2, (n,), improved by regression on control variates; and its standard error.
 
-    The means of x b and of f^2 are known to be 1: of parameters that are known well by themselves the first tells all of the
-    error, of those that only the prior tells the second. It is at most 1, and at least 1 over the precision, with room of 10
-    for the error of that.
+    These are x b and f^2, whose means are known to be 1: the first explains all of the error for parameters that images tell
+    well by themselves, the second for those that only the prior tells. The variance is clamped to at most 1, and at least
+    0.1 over the precision.
     """
     off = torch.stack([samples.found * samples.drawn, samples.prior.square()], -1).movedim(0, 1) - 1  # (n, K, 2)
     squares = samples.found.square().T[:, :, None]

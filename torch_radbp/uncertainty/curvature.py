@@ -20,27 +20,27 @@ DENSE = 200  # parameters, for which a matrix is computed
 
 
 class Product(NamedTuple):
-    """A product with J^T Sigma^-1 J."""
+    """A product with the curvature J^T Sigma^-1 J, or its diagonal, and the standard error."""
 
     value: Tensor  # (n,) float64
     error: Tensor  # (n,) its standard error by the noise of the renderings; NaN of a single pair
 
 
 class DenseCurvature(NamedTuple):
-    """J^T Sigma^-1 J as a matrix, with what its noise is estimated from."""
+    """The curvature J^T Sigma^-1 J as a matrix, with standard errors."""
 
     matrix: Tensor  # (n, n) float64, symmetric; unbiased, so that eigenvalues may be negative by noise
     error: Tensor  # (n, n) standard errors, by the jackknife
     without: Tensor  # (K, n, n) the matrices without the samples of one of the K seeds
 
     def along(self, directions: Tensor) -> tuple[Tensor, Tensor]:
-        """v^T H v of the columns of (n, k), and their standard errors, (k,) each."""
+        """The curvatures v^T H v along the columns v of (n, k) directions, and their standard errors, (k,) each."""
         others = torch.einsum("ik,sij,jk->sk", directions, self.without, directions)
         return torch.einsum("ik,ij,jk->k", directions, self.matrix, directions), _jackknife(others)
 
 
 class Curvature:
-    """Products with J^T Sigma^-1 J at where the parameters stand; see `curvature`."""
+    """Products with the curvature J^T Sigma^-1 J at the parameters' current values; see `curvature`."""
 
     def __init__(self, problem: Problem, seed: int):
         self.problem, self.seed = problem, seed
@@ -51,7 +51,7 @@ class Curvature:
         return self.problem.linear.size
 
     def product(self, direction: Tensor, pairs: int = 4, *, independent: bool = True) -> Product:
-        """J^T Sigma^-1 J v, with its noise.
+        """The product J^T Sigma^-1 J v with a direction v, and its standard error.
 
         Args:
             direction: v, (n,), in the order of the parameters.
@@ -136,7 +136,7 @@ class Curvature:
         return Product(torch.stack(found).mean(0), torch.stack(found).std(0) / probes ** 0.5)
 
     def _half(self, direction: Tensor, forward: int, backward: int) -> Tensor:
-        """J_b^T Sigma^-1 J_a v of two seeds."""
+        """The product J_b^T Sigma^-1 J_a v with Jacobians of two seeds."""
         linear, spp = self.problem.linear, self.problem.spp
         return linear.backward(self.problem.weighted(linear.forward(direction, forward, spp)), backward, spp).cpu()
 

@@ -11,7 +11,7 @@ ALIKE = 0.1  # how far apart two changes may be, relative to the larger, to be c
 
 
 class Direction(NamedTuple):
-    """A direction of parameters along which images change by less than can be told."""
+    """A direction of parameters along which images change by less than can be told from noise."""
 
     change: Tensor  # (n,) in units of the parameters; its largest entry in units of its own deviation is 1
     words: str
@@ -30,7 +30,7 @@ def sparse_basis(vectors: Tensor) -> Tensor:
 
 
 def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) -> str:
-    """What a direction that images do not tell means for the parameters that change.
+    """Describes a direction of parameters along which images do not change, by what they still tell of these.
 
     Args:
         change: (n,) in units of the parameters.
@@ -55,7 +55,7 @@ def in_words(change: Tensor, values: Tensor, names: list[str], sizes: Tensor) ->
 
 
 def pair_in_words(first: int, second: int, change: Tensor, values: Tensor, names: list[str]) -> str:
-    """What is known of two parameters whose change by a direction is not told: a product, a ratio, ...; `in_words`."""
+    """What images still tell of two parameters that change along a direction: a product, a ratio, ...; see `in_words`."""
     both = f"{names[first]} and {names[second]}"
     relative = change / values
     for kinds, (a, b) in ((("product", "ratio"), relative[[first, second]].tolist()),

@@ -16,7 +16,7 @@ from torch_radbp.uncertainty.problem import Parameters, Problem
 
 
 class Outlook(NamedTuple):
-    """What a candidate would leave unknown."""
+    """The uncertainty of the parameters that would be left after photographs by a candidate."""
 
     name: str
     left: float  # the mean over parameters of their variance after it over that of the prior, 0 to 1
@@ -24,7 +24,7 @@ class Outlook(NamedTuple):
 
 
 class RankedViews(NamedTuple):
-    """Candidates, the one that tells most first."""
+    """Candidate views, the one that tells most about the parameters first."""
 
     ranking: list[Outlook]
     before: Outlook  # without any of them
@@ -43,7 +43,7 @@ class RankedViews(NamedTuple):
 def next_view(images: Renderer | Images, candidates: Sequence[str | int] | Mapping[str, Renderer | Images],
               parameters: Parameters, *, noise: float, prior: Mapping[str, float | Tensor], taken: Sequence[str | int] = (),
               spp: int | None = None, repeats: int = 3, seed: int = 0) -> RankedViews:
-    """Which candidate shrinks the covariance of parameters most, by derivatives at where these stand.
+    """Ranks candidate views by how much they would shrink the covariance of parameters, by derivatives at their values.
 
         views = rb.next_view(renderer, ["left", "above", "close"], names, noise=0.02, prior={name: 0.3 for name in names})
         views.best
@@ -123,7 +123,7 @@ def sensitivity(images: Renderer | Images, parameters: Parameters, *, spp: int |
 
 
 def _sensors_of(renderer: Renderer | Images, sensors: list) -> Images:
-    """The images of some sensors."""
+    """The images of some sensors of a renderer, as a function of seed and spp; raises TypeError for a function."""
     if not isinstance(renderer, Renderer):
         raise TypeError("beside a function, candidates must map names to renderers or functions of seed and spp, and "
                         f"nothing can be `taken`, got sensors {sensors}")

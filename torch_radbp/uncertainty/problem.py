@@ -52,7 +52,7 @@ def images_of(images: Renderer | Images) -> Images:
 
 
 def named(images: Renderer | Images, parameters: Parameters) -> dict[str, Tensor]:
-    """The parameters by name.
+    """The tensors of the parameters by name.
 
     Raises:
         TypeError: for names beside a function, whose scene is not known.
@@ -67,7 +67,7 @@ def named(images: Renderer | Images, parameters: Parameters) -> dict[str, Tensor
 
 
 def precision_of(noise: Noise) -> Tensor:
-    """One over the variance of each number of the images, (M,) or (1,) float64.
+    """The precision, one over the variance, of each number of the images, (M,) or (1,) float64.
 
     Raises:
         ValueError: unless standard deviations are positive; infinite ones are pixels that do not count.

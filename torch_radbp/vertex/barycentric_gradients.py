@@ -22,16 +22,16 @@ LEAST_COSINE = 1e-6  # between a shading normal and that of the triangle
 
 
 def barycentric_gradients(frame: ShadingFrame, shading: Vec3, n: Vec3, e1: Vec3, e2: Vec3) -> tuple[Vec3, Vec3]:
-    """The gradients of the barycentric coordinates of the second and third vertex; attached; zero on degenerate triangles.
+    """The world gradients of the barycentric coordinates of triangles' second and third vertices; attached; 0 if degenerate.
 
     Args:
         frame: the shading frame, with a tangent along u.
-        shading: its normal, before it is turned to the viewer's side.
+        shading: the shading normal, before it is turned to the viewer's side.
         n: the normal of the triangle.
         e1, e2: the edges of the triangle from the first vertex to the second and the third.
 
     Returns:
-        Of each the components along the tangents of the frame; and, as z, that along `n` over the cosine between `n` and
+        Each by its components along the tangents of the frame; as z, the one along `n` over the cosine between `n` and
         `shading`: where the z of a gradient is greater than 1, the lifted surface faces the other side of the triangle.
     """
     volume, cosine = dot(cross(e1, e2), shading), dot(n, shading)

@@ -34,14 +34,14 @@ SMALLEST = 1e-36  # of what a logarithm is taken; its reciprocal is finite in fl
 
 
 class Cone(NamedTuple):
-    """The ray cone of each lane, (N,); attached."""
+    """The ray cone of each lane, (N,): the footprint of a pixel along its ray; attached."""
 
     width: Tensor  # at the origin, world units
     spread: Tensor  # of the width, per unit of distance
 
 
 def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None) -> Cone:
-    """Ray cones as wide as a pixel where they start: by the rays one pixel to the right and below; zero where pixels have no
+    """Camera ray cones, one pixel wide at their start, by the rays one pixel to the right and below; 0 for pixels without
     area.
 
     Args:
@@ -59,24 +59,24 @@ def camera_cone(camera: Camera, ray: Ray, position: Vec2, aperture: Vec2 | None)
 
 
 def cone_beyond(cone: Cone, t: Tensor, density: Tensor) -> Cone:
-    """The ray cone of a scattered ray: it is wider and spreads more the wider the BSDF scatters.
+    """The cone of a scattered ray: wider by the distance that the ray has come, and spread more the wider the BSDF scatters.
 
     Args:
-        cone: of the ray that met it.
-        t: (N,) distance that it has come; finite.
-        density: (N,) over solid angle, of the direction in which it leaves; infinite if not left to chance.
+        cone: of the ray that arrives.
+        t: (N,) distance that this ray has come; finite.
+        density: (N,) solid-angle density of the scattered direction; infinite if it is not random.
     """
     added = 2.0 / math.sqrt(SHARING * math.pi) * torch.rsqrt(density + ISOTROPIC)
     return Cone(cone.width + cone.spread * t, cone.spread + added)
 
 
 def footprint(cone: Cone, t: Tensor, cosine: Tensor, edges: tuple[Vec3, Vec3], edges_uv: tuple[Vec2, Vec2]) -> Tensor:
-    """The natural logarithm of the width of a cone's footprint on a triangle, in surface coordinates; attached.
+    """The natural logarithm of the width of a ray cone's footprint on a triangle, in texture coordinates (u, v); attached.
 
     Args:
         cone, t: as for `cone_beyond`.
         cosine: (N,) between ray and triangle.
-        edges, edges_uv: of the triangle, in the world and in surface coordinates.
+        edges, edges_uv: of the triangle, in the world and in texture coordinates.
     """
     world, (first, second) = cross(*edges), edges_uv
     area_uv = (first.x * second.y - first.y * second.x).abs()

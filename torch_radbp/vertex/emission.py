@@ -19,7 +19,7 @@ from torch_radbp.vertex.interaction import SurfaceInteraction
 
 
 def vantage(si: SurfaceInteraction) -> Vantage:
-    """The position and normal that light selection depends on, detached: the choice of a light is discrete."""
+    """The reference point of light selection: position and normal of a surface point, detached."""
     return Vantage(si.p.map(settled), si.frame.n.map(settled))
 
 
@@ -27,8 +27,8 @@ def emitted(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, texture_value
     """The radiance that surface or environment emits towards the ray's origin; attached to texels, pose and `ray.d`.
 
     Args:
-        scene, ray, si: what the ray meets.
-        texture_values: the values of emitters' textures that are read outside, at the `emission_places`.
+        scene, ray, si: the scene, the ray and the surface point that it hits.
+        texture_values: the values of emitters' network textures at the `emission_places`.
     """
     radiance = emitted_by_surface(scene, si, texture_values)
     if scene.layout.surround is None:
@@ -52,7 +52,7 @@ def emitted_by_surface(scene: SceneTensors, si: SurfaceInteraction, texture_valu
 
 
 def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """The points at which emitters' textures are evaluated where rays hit emitters; attached as `si` is."""
+    """The points where rays hit emitters, at which emitters' network textures are evaluated; attached as `si` is."""
     def row(rows: Tensor) -> Tensor:
         if si.emitter is None:
             return torch.full_like(si.prim, -1)
@@ -63,7 +63,7 @@ def emission_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place,
 
 
 def emitted_by_surround(scene: SceneTensors, ray: Ray) -> Vec3:
-    """The radiance of the environment along rays that hit nothing; attached to `ray.d` as well."""
+    """The radiance of the environment along rays that hit nothing; attached to its parameters and `ray.d`."""
     if scene.layout.surround is None:
         return Vec3.full(ray.d.x, 0.0)
     number, kind = scene.layout.surround
@@ -74,13 +74,13 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
                 picked: LightPick | None = None) -> Tensor:
     """The solid-angle density with which next-event estimation at the ray's origin would have sampled the point hit.
 
-    For weights only: of the surround it is `SurroundKind.weighing`.
+    For MIS weights only: for the environment it is `SurroundKind.weighing`.
 
     Args:
         scene: gives geometry.
-        ray, si: what the ray meets. The density is attached if these arguments are.
-        proposal: gives the probabilities of picking a light, and the surround; None: `scene`.
-        picked: has the probability of picking the emitter, if it depends on where that is done.
+        ray, si: the ray and the surface point that it hits. The density is attached if these are.
+        proposal: gives selection probabilities and the environment; None: `scene`.
+        picked: has the probability of selecting the emitter, if it depends on the ray's origin.
     """
     proposal = scene if proposal is None else proposal
     pdf = pdf_of_surface(scene, si, proposal, picked)
@@ -91,7 +91,7 @@ def emitted_pdf(scene: SceneTensors, ray: Ray, si: SurfaceInteraction, proposal:
 
 def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneTensors,
                    picked: LightPick | None = None) -> Tensor:
-    """`emitted_pdf` for rays that hit a surface."""
+    """The `emitted_pdf` of rays that hit a surface; 0 for those on surfaces that emit no light."""
     pdf = torch.zeros_like(si.t)
     if not scene.layout.visible_surfaces:
         return pdf
@@ -106,7 +106,7 @@ def pdf_of_surface(scene: SceneTensors, si: SurfaceInteraction, proposal: SceneT
 
 
 def pdf_of_surround(proposal: SceneTensors, ray: Ray) -> Tensor:
-    """`emitted_pdf` for rays that leave the scene."""
+    """The `emitted_pdf` of rays that leave the scene; 0 without an environment."""
     if proposal.layout.surround is None:
         return torch.zeros_like(ray.d.x)
     number, kind = proposal.layout.surround

@@ -55,14 +55,14 @@ class SurfaceInteraction(NamedTuple):
 
 
 def is_met(scene: SceneTensors, hit) -> Tensor:
-    """(N,) bool: a ray meets a surface to which vertices are glued. Others are invisible boundaries of media, to which a ray
-    is on its way when its flight ends: directions stay where they are on them as beside them, so that nothing jumps."""
+    """(N,) bool: rays hit a surface that fixes the next vertex, not an invisible boundary of a medium where their flight
+    ends."""
     met = hit.prim >= 0
     return met if scene.boundaries is None else met & ~is_boundary(scene, hit.prim)
 
 
 def is_boundary(scene: SceneTensors, prim: Tensor) -> Tensor:
-    """(N,) bool: triangles of invisible boundaries of media, where there are media with boundaries; -1: no triangle."""
+    """(N,) bool: triangles that are invisible boundaries of media; -1: no triangle. For scenes with such boundaries."""
     return (prim >= 0) & lookup(scene.boundaries.invisible, lookup(scene.triangles.boundary, prim.clamp_min(0)))
 
 
@@ -71,7 +71,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
     """Computes the surface interaction from the triangle that a ray has hit.
 
     Args:
-        scene: the part that these lanes read; of a whole scene only what does not depend on the material is found.
+        scene: the part that the lanes read; for a whole scene the fields that depend on the material are left out.
         ray: (N,) rays.
         hit: a `raycast.Hit`: triangle (-1: none), barycentric coordinates of its second and third vertex, distance.
         slides: (N,) bool: how the point follows when ray and scene are attached. True: it stays on the ray and slides over
@@ -80,7 +80,7 @@ def surface_interaction(scene: SceneTensors, ray: Ray, hit, slides: Tensor | Non
         here: the corners of the triangle, where it is an instance's in the frame of the group; None: as the scene has them.
         front: (N,) bool: the viewer is on the side of the shading normal, which was decided before where the sides of a
             material differ in appearance; None: nowhere.
-        cone: of the rays; None if no texture asks for it.
+        cone: of the rays; None if no texture is filtered by it.
     """
     triangles, scatterer = scene.triangles, scene.layout.scatterer
     valid = hit.prim >= 0
@@ -153,10 +153,10 @@ def shading_normal(scene: SceneTensors, hit, n: Vec3) -> Vec3:
 
 
 def turning_as_it_slides(scene: SceneTensors, hit, n: Vec3) -> Vec3:
-    """Geometric normals that turn with the shading normals of smooth bodies as points slide over these; attached to `hit`.
+    """Geometric normals with the derivatives of shading normals, for points that slide over smooth surfaces.
 
-    The adjoint BSDF has the cosines of both normals. Along a smooth body these go together, but for less than the turn from
-    one triangle to the next, which the geometric normal makes at their edges, where no derivative sees it.
+    The adjoint BSDF has the cosines of both normals. Along a smooth surface these turn together on average, but the
+    geometric normal turns at edges only, where no derivative sees it.
     """
     still = untapped(scene.triangles.vertices.n).map(torch.Tensor.detach)
     vertices = scene.triangles.vertices._replace(n=still)
@@ -171,7 +171,7 @@ def is_in_front(scene: SceneTensors, ray: Ray, hit) -> Tensor:
 
 
 def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 | None = None) -> Vec3:
-    """The unit geometric normals of the triangles hit, detached; `e1`, `e2`: their edges in the world, if available."""
+    """The unit geometric normals of hit triangles, detached; `e1`, `e2`: their edges in the world, if these are known."""
     if scene.triangles.instances is None:
         return lookup(scene.triangles.n, hit.prim.clamp_min(0))
     if e1 is None:
@@ -180,13 +180,13 @@ def triangle_normal(scene: SceneTensors, hit, e1: Vec3 | None = None, e2: Vec3 |
 
 
 def unit_normal_shown(scene: SceneTensors, hit, e1: Vec3, e2: Vec3) -> Vec3:
-    """The unit geometric normals of the triangles that were hit, attached to their edges in the world."""
+    """The unit geometric normals of hit triangles, attached to their edges e1 and e2 in the world."""
     n, instances = unit_normal(e1, e2), scene.triangles.instances
     return n if instances is None else n * lookup(instances.side, hit.instance)
 
 
 def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
-    """The distances off the surface at which rays leave the triangles that were hit, detached; see `clearance`."""
+    """The distances off hit triangles at which rays start, detached; see `clearance`."""
     instances = scene.triangles.instances
     if instances is None:
         return lookup(scene.triangles.clearance, hit.prim.clamp_min(0))
@@ -195,12 +195,12 @@ def clearance_at(scene: SceneTensors, hit, corners: Corners) -> Tensor:
 
 @stage("scene")
 def corner_rows(scene: SceneTensors, hit) -> tuple[Tensor, Tensor, Tensor]:
-    """The vertices of the triangles that were hit, three (N,) int32 rows of the vertex table."""
+    """The three vertices of hit triangles, (N,) int32 rows of the vertex table each."""
     return tuple(lookup(corner, hit.prim.clamp_min(0)) for corner in scene.triangles.corners)
 
 
 def where_the_ray_goes(ray: Ray, p0: Vec3, e1: Vec3, e2: Vec3, hit, slides: Tensor):
-    """The hit with barycentric coordinates attached to ray and triangle, where the point slides over the surface."""
+    """The hit with barycentric coordinates attached to ray and triangle, where `slides`: the point slides with the ray."""
     volume, of_u, of_v = crossing(ray, p0, e1, e2)
     slides = slides & (volume.abs() > TINY)  # else it is seen edge-on
     volume = torch.where(slides, volume, 1.0)

@@ -33,7 +33,7 @@ class Material(NamedTuple):
         return self._replace(values=tuple(value.detach() for value in self.values))
 
     def turned(self, wi: Vec3, wo: Vec3) -> Tensor:
-        """|cos wo| / |cos wi| with the geometric normal: power that arrives counts by area, and leaves by solid angle."""
+        """The ratio |cos wo| / |cos wi| by the geometric normal: paths from lamps carry power, which arrives per area."""
         return dot(self.normal, wo).abs() / dot(self.normal, wi).abs().clamp_min(LEAST_COSINE)
 
 
@@ -49,9 +49,9 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
     """Evaluates the material's textures at a surface point, on the side that the ray meets.
 
     Args:
-        scene: the part that these lanes read.
+        scene: the part that the lanes read.
         si: the surface point.
-        texture_values: the values of the textures that are read outside, in order.
+        texture_values: the values of the material's network textures, in order.
     """
     readers, appearance = scene.layout.readers, scene.layout.scatterer
     values, of_others = [], iter(texture_values)
@@ -68,16 +68,16 @@ def material_at(scene: SceneTensors, si: SurfaceInteraction, texture_values: tup
 
 
 def material_places(scene: SceneTensors, si: SurfaceInteraction) -> tuple[Place, ...]:
-    """The points at which the material's network textures must be evaluated; arguments as for `material_at`."""
+    """The points at which the material's network textures are evaluated; args as for `material_at`."""
     return tuple(Place(lookup(slot, si.material), reader.place(si.p, si.point.uv))
                  for reader, slot in zip(scene.layout.scatterer.readers, scene.materials.slots) if reader.outside)
 
 
 def evaluate(material: Material, wi: Vec3, wo: Vec3) -> tuple[Vec3, Tensor]:
-    """bsdf * |cos| and the solid-angle density with which `sample` draws `wo`, in the local frame; attached.
+    """The BSDF times |cos|, and the solid-angle density with which `sample` draws `wo`; local frame; attached.
 
-    Both are zero for ideal specular materials. Of the adjoint BSDF, as light comes from `wi`: that of light from `wo` with
-    the directions exchanged, which has the cosine of `wi`, and squares of indices of refraction as radiance from there.
+    Both are zero for ideal specular materials. On paths from lamps it is the adjoint BSDF, for light that comes from `wi`:
+    the BSDF with directions exchanged, with the cosine of `wi`, and squares of indices of refraction as for light from `wo`.
 
     Reference: Veach 1997, "Robust Monte Carlo Methods for Light Transport Simulation", sections 5.2 and 5.3.
     """
@@ -98,7 +98,7 @@ def sampling_at(kind: Kind, sampling: str) -> str:
 
 
 def turning_values(kind: Kind, sampling: str) -> tuple[int, ...]:
-    """The numbers of a kind's parameters on which differentiated directions depend."""
+    """The indices of a kind's parameters on which differentiated sampled directions depend."""
     return kind.steering if sampling == "attached" else kind.bending if sampling == "hybrid" else ()
 
 
@@ -110,7 +110,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
         choice, u, v: (N,) uniform numbers, the first for the lobe (None: `kind` is not `discrete`).
         sampling: which directions carry derivatives: "attached" all, "hybrid" those of delta lobes and of kinds that it
             follows, "detached" none.
-        ideal: delta lobes alone are sampled, where the kind can tell their probability.
+        ideal: sample delta lobes alone, if the kind knows their probability.
     """
     kind, values = material.kind, material.values
     sampling = sampling_at(kind, sampling)
@@ -138,7 +138,7 @@ def sample(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Te
 
 
 def chosen_lobe(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, v: Tensor, ideal: bool) -> LobeChoice:
-    """The lobe that is sampled; args as for `sample`."""
+    """Selects the BSDF lobe that is sampled; args as for `sample`."""
     kind, values, wi = material.kind, values_for_choice(material.values), wi.map(settled)
     chance = kind.chance_of_delta(values, wi) if ideal else None
     if chance is None:
@@ -148,7 +148,7 @@ def chosen_lobe(material: Material, wi: Vec3, choice: Tensor | None, u: Tensor, 
 
 
 def relative_chance(material: Material, wi: Vec3, wo: Vec3, lobe: LobeChoice) -> Tensor | float:
-    """A factor of value 1 with the relative derivative of 1 / `Kind.chance_by_direction`."""
+    """A factor of value 1 whose derivative is the relative derivative of 1 / `Kind.chance_by_direction`."""
     chance = material.kind.chance_by_direction(values_for_choice(material.values), wi, wo, lobe)
     if chance is None:
         return 1.0

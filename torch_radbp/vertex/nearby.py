@@ -45,7 +45,7 @@ REACH = 0.5  # of the least height of a triangle: how near x must be
 
 
 class Slide(NamedTuple):
-    """How much vertices slide over their triangles when the previous vertex moves, (N,); detached."""
+    """How far vertices slide over their triangles when the previous vertex moves, (N,); detached."""
 
     share: Tensor  # m, the share of sliding; 0: glued to the triangle
     by_u: Tensor  # how that changes with the barycentric coordinate of the second vertex
@@ -53,7 +53,7 @@ class Slide(NamedTuple):
 
 
 class Nearby(NamedTuple):
-    """Points of triangles seen from a nearby vertex x, (N,); detached."""
+    """Points on triangles as seen from a previous vertex x close by, (N,); detached."""
 
     corners: Corners  # of the triangle, world
     u: Tensor  # barycentric coordinates: of the second vertex
@@ -64,7 +64,7 @@ class Nearby(NamedTuple):
 
 
 class Floor(NamedTuple):
-    """The surfaces at the vertices x, (N,); detached."""
+    """The surfaces on which the previous vertices x lie, (N,); detached."""
 
     p: Vec3  # x
     n: Vec3  # unit normal
@@ -82,7 +82,7 @@ def heights_of(corners: Corners) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def slides_from(corners: Corners, distance: Tensor, plain: Tensor) -> Tensor:
-    """(N,) bool: points of triangles so close, at this distance, that they may slide. Args as of `Nearby`."""
+    """(N,) bool: points on triangles are so close to the previous vertex that they may slide. Args as of `Nearby`."""
     return plain & (distance < REACH * least(heights_of(corners)))
 
 
@@ -91,7 +91,7 @@ def least(heights: tuple[Tensor, Tensor, Tensor]) -> Tensor:
 
 
 def slide_at(near: Nearby, floor: Floor) -> Slide:
-    """How much points near x slide over their triangles when x moves."""
+    """How far points near the previous vertex x slide over their triangles when x moves, (N,)."""
     p0, p1, p2 = corners = tuple(corner.detach() for corner in near.corners)
     e1, e2, heights = p1 - p0, p2 - p0, heights_of(corners)
     n, gap = cross(e1, e2), floor.p - p0

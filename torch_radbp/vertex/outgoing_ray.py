@@ -41,8 +41,8 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
     Args:
         scene: attached; gives the geometry of the next vertex.
         material, si: of this vertex, attached.
-        sample: the direction.
-        following: the `raycast.Hit` of that ray.
+        sample: the sampled direction.
+        following: the `raycast.Hit` of the scattered ray.
         sampling: "detached", "hybrid" or "attached".
         there: the corners of the triangle that the ray meets, where it is an instance's in the frame of the group; None: as
             the scene has them.
@@ -74,8 +74,8 @@ def attached_outgoing_ray(scene: SceneTensors, material: Material, si: SurfaceIn
 
 
 def slide_of(scene: SceneTensors, floor: Floor | None, there: Corners, d: Vec3, following) -> Slide | None:
-    """How much next vertices slide over their triangles; None: none does. `floor`: of this vertex, None where all materials
-    are none that points slide over; the other args as for the two functions here."""
+    """How far next vertices, hit at `following`, slide over their triangles; None: none does. `floor`: the surface of this
+    vertex; None: no material lets points slide. Other args as for `glued_direction`."""
     if floor is None:
         return None
     plain = lookup(scene.triangles.plain, following.prim.clamp_min(0))
@@ -83,14 +83,14 @@ def slide_of(scene: SceneTensors, floor: Floor | None, there: Corners, d: Vec3, 
 
 
 def glued_direction(there: Corners, o: Vec3, d: Vec3, hit, glued: Tensor, slide: Slide | None = None) -> tuple[Vec3, Tensor]:
-    """The direction from `o` to a fixed point of the triangle hit, and the change of its solid angle, of value 1.
+    """The direction from `o` to a fixed point of the triangle hit, and the change of its solid angle, a factor of value 1.
 
     Args:
         there: the corners of the triangle, attached.
-        o: attached.
+        o: (N,) world, attached.
         d: (N,) detached.
         hit: a `raycast.Hit`.
-        glued: (N,) bool: where there is a triangle; elsewhere the direction is fixed.
+        glued: (N,) bool: True where the ray hits a triangle; elsewhere the direction is fixed.
         slide: how much the point slides over the triangle; None: not at all.
     """
     p0, e1, e2 = edges(*there)

@@ -19,7 +19,7 @@ from torch_radbp.transforms import affine, transform_points
 
 @dataclass(frozen=True)
 class ConstKind(VolumeKind):
-    """Reads the only value."""
+    """A volume that has one value everywhere."""
 
     def values(self, table: tuple[Tensor, ...], p: Vec3) -> tuple[Tensor, ...]:
         return lookup(table, torch.zeros_like(p.x, dtype=torch.int32))
@@ -66,7 +66,7 @@ class ConstVolume(VolumeFunction):
         return transform_points(self.to_world, unit)
 
     def colour(self) -> Vec3:
-        """The value, () for each channel, attached."""
+        """The volume's value, () for each channel, attached."""
         return Vec3.of(self.value.texels()[0, 0])
 
 
@@ -86,7 +86,7 @@ def as_volume(owner: Plugin, name: str, value: Volume | Texture | float, channel
 
 
 def as_constant(owner: Plugin, name: str, value: Volume | Texture | float) -> ConstVolume:
-    """The same where the value must be the same everywhere."""
+    """Makes the constant volume for the attribute `name` of a plugin; raises ValueError if the value varies in space."""
     volume = as_volume(owner, name, value)
     if not isinstance(volume, ConstVolume):
         raise ValueError(f"{name} of {owner.type} must be the same everywhere, got a {volume.type}")

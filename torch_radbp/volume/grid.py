@@ -62,14 +62,14 @@ class GridKind(VolumeKind):
         return tuple(slopes)
 
     def place_of(self, table: GridTable, p: Vec3) -> tuple[tuple[Tensor, ...], list[Tensor], tuple[Vec3, ...]]:
-        """The numbers of cells along the axes, where points are in units of cells, and the derivatives of these by them."""
+        """The numbers of cells along the axes, points in units of cells, and the derivatives of these coordinates by `p`."""
         only = torch.zeros_like(p.x, dtype=torch.int32)
         size, to_local = lookup(table.size, only), lookup(table.to_local, only)
         return (size, [(dot(row, p) + shift) * count for (row, shift), count in zip(to_local, size)],
                 tuple(row * count for (row, _), count in zip(to_local, size)))
 
     def around(self, table: GridTable, p: Vec3) -> NearCells:
-        """The cells around points."""
+        """The eight cells around points, and the position between their centres."""
         size, place, by_point = self.place_of(table, p)
         (x, fx), (y, fy), (z, fz) = (self.neighbours(at - 0.5, count) for at, count in zip(place, size))
         if self.wrap_mode == "clamp":  # nothing changes outside
@@ -85,7 +85,7 @@ class GridKind(VolumeKind):
         return (self.inside(first, count), self.inside(first + 1.0, count)), place - first
 
     def inside(self, place: Tensor, count: Tensor) -> Tensor:
-        """The integers, int32, of [0, count) for those anywhere, as float, that the wrap mode maps to them."""
+        """Wraps whole numbers, given as floats, into [0, count) by the wrap mode; int32."""
         if self.wrap_mode == "clamp":
             return torch.minimum(torch.minimum(place, count.to(place.dtype)).to(torch.int32).clamp_min(0), count - 1)
         cell = place.to(torch.int32)

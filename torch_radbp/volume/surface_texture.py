@@ -51,7 +51,7 @@ class VolumeReader(TableReader):
         return Vec2(*(dot(slope, edge) for edge in point.edges.p))
 
     def slope(self, table: Any, p: Vec3) -> Vec3:
-        """The derivative of the number by the point, or that of the first channel."""
+        """The derivative of the texture's scalar, or of its first channel, by the point."""
         slopes = self.volume.slopes(table, p)
         return slopes[0] if len(slopes) == 1 or not self.as_number else Vec3(*map(luminance, map(Vec3._make, zip(*slopes))))
 

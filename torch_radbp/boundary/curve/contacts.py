@@ -38,7 +38,7 @@ GAP = 1e-5  # share of an edge's length between parts that touch something, up t
 
 
 class Resting(NamedTuple):
-    """K parts of edges that lie on surfaces of other bodies."""
+    """K parts of edges that lie on surfaces of other bodies, as a cube's lower edges on a floor."""
 
     corner: Tensor  # (K,) int32, index of the corner opposite the edge in one of its triangles
     instance: Tensor | None  # (K,) int32, its instance as in a hit; None: the scene has none
@@ -48,7 +48,7 @@ class Resting(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """The contacts of bodies: segments on triangles, and parts of edges."""
+    """Where bodies touch: segments on triangles, and parts of edges."""
 
     segments: Segments  # along which triangles at edges pass through what these lie on
     resting: Resting
@@ -56,12 +56,12 @@ class Contacts(NamedTuple):
 
 def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
                 edges_of_shape: Callable[[int], Edges]) -> Contacts | None:
-    """Finds the contacts among sides of triangles that lie on other triangles; None: there are none.
+    """Finds the contacts of bodies, from the triangle sides that lie on other triangles; None: there are none.
 
     Args:
         geometry: of the scene, detached.
-        touching: sides, and what they lie on.
-        ends: (S,) int64, how many triangles there are up to the end of each shape.
+        touching: the triangle sides that lie on other triangles.
+        ends: (S,) int64, the end of each shape's triangles among all.
         edges_of_shape: the edges of one shape, by its number.
     """
     number = opposite_corner(touching)
@@ -89,11 +89,11 @@ def contacts_of(geometry: Geometry, touching: Segments, ends: Tensor,
 
 
 def across_edges(corner: Tensor, shape: Tensor, edges_of_shape: Callable[[int], Edges]) -> tuple[Tensor, Tensor]:
-    """The number of triangles at each edge, and the vertex opposite in the second one, (K,) int32 each; -1 without one.
+    """The number of triangles at each edge, and the vertex opposite it in the second, (K,) int32 each; -1: no second.
 
     Args:
-        corner: (K,) int32, opposite the edges, among all corners.
-        shape: (K,) of these.
+        corner: (K,) int32, indices of the corners opposite the edges.
+        shape: (K,) the shapes of these.
         edges_of_shape: the edges of one shape, by its number.
     """
     count, tip = torch.zeros_like(corner), torch.full_like(corner, -1)
@@ -109,24 +109,24 @@ def across_edges(corner: Tensor, shape: Tensor, edges_of_shape: Callable[[int], 
 
 
 def resting_among(segments: Segments) -> Segments | None:
-    """Selects the segments at which edges lie on surfaces; None: there are none."""
+    """Selects the segments along which edges lie on surfaces without passing through; None: there are none."""
     if segments.seen_from is None:
         return None
     return rows(segments, segments.seen_from.rests.nonzero().squeeze(1))
 
 
 def keys_of(corner: Tensor, instance: Tensor | None) -> Tensor:
-    """(N,) int64 keys that distinguish pairs of corner, (N,) int32, and instance."""
+    """(N,) int64 keys that are equal for equal pairs of a corner, (N,) int32, and an instance."""
     return corner.long() if instance is None else corner.long() * (1 << 31) + instance
 
 
 def has_other_side(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
-    """(N,) bool: parts of edges whose other triangle also lies on a surface, on the other side.
+    """(N,) bool: parts of edges both of whose triangles touch a surface, on opposite sides.
 
     Args:
         key: (N,) of the edges.
-        place: (N,) any point that moves with the parts' middles, world.
-        reach: (N,) on which side of the triangle at the edge the surface lies that the part lies on: 1, -1.
+        place: (N,) the middles of the parts, world.
+        reach: (N,) the side of the triangle at the edge on which the touched surface lies: 1, -1.
     """
     height = place.x * OBLIQUE[0] + place.y * OBLIQUE[1] + place.z * OBLIQUE[2]
     order = height.argsort(stable=True)
@@ -141,19 +141,19 @@ def has_other_side(key: Tensor, place: Vec3, reach: Tensor) -> Tensor:
 
 
 def opposite_corner(segments: Segments) -> Tensor:
-    """(S,) int32, 0 to 2: the corner opposite the side of its triangle that each segment lies on."""
+    """(S,) int32, 0 to 2: for segments on a side of their triangle, the corner opposite that side."""
     (u, v), (s, t) = segments.start, segments.end
     first, second = (torch.maximum(*both) <= AT_SIDE for both in ((1.0 - u - v, 1.0 - s - t), (u, s)))
     return torch.where(first, 0, torch.where(second, 1, 2)).to(torch.int32)
 
 
 def rows_of_corner(corners: tuple[Vec3, Vec3, Vec3], number: Tensor) -> Vec3:
-    """Selects one of three corners for each lane, by its number (N,) int32, 0 to 2."""
+    """For each lane the corner of the given number, (N,) int32, 0 to 2, out of three."""
     return Vec3(*(torch.where(number == 0, a, torch.where(number == 1, b, c)) for a, b, c in zip(*corners)))
 
 
 def _side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec3]) -> Tensor:
-    """The side of triangles' planes on which points lie, (N,) float64: 1, -1, or 0 in the plane, or for both."""
+    """The side of triangles' planes on which all points lie, (N,) float64: 1, -1, or 0 in the plane or on both sides."""
     normal = cross(plane[1] - plane[0], plane[2] - plane[0])
     scale = torch.stack([part.abs() for point in (*plane, *points) for part in point]).amax(0)
     least = TOUCHING * scale * torch.sqrt(dot(normal, normal))
@@ -163,34 +163,34 @@ def _side_of(plane: tuple[Vec3, Vec3, Vec3], points: tuple[Vec3, ...] | list[Vec
 
 
 def rows_at(column: Tensor, wanted: Tensor) -> tuple[Tensor, Tensor]:
-    """Finds sorted numbers (W,) in a column: (K,) int64 rows, and (K,) index of the number."""
+    """The rows of a column at which sorted wanted numbers, (W,), occur, (K,) int64, and which number each is."""
     which = torch.searchsorted(wanted, column).clamp_max(len(wanted) - 1)
     row = (wanted[which] == column).nonzero().squeeze(1)
     return row, which[row]
 
 
 class EdgeParts(NamedTuple):
-    """P parts of edges, given by positions along them; (P,) float64."""
+    """P parts of edges, given by their start and end as shares of the edge, (P,) float64."""
 
     start: Tensor  # shares of the edges' lengths
     end: Tensor
     counts: Tensor  # weight of the part, less than 1 where it lies on another body's surface
 
     def weight(self, along: Tensor) -> Tensor:
-        """The weight of points on edges, given by their fractions of the length, (P,); 0 outside of the parts."""
+        """The weight of points on edges, given by their share of the length, (P,); 0 outside of the parts."""
         return torch.where((along >= self.start) & (along <= self.end), self.counts, 0.0)
 
 
 def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Tensor, EdgeParts]:
-    """Divides edges into parts that lie on a surface and parts that do not.
+    """Divides edges into the parts that lie on a surface and those that do not.
 
     Args:
         a, b: (K,) the ends of edges, world.
-        resting: (K,) parts that lie on something.
-        edge: (K,) int64, the number of the edge; it may come up several times.
+        resting: (K,) the parts that lie on a surface.
+        edge: (K,) int64, the number of the edge of each; it may occur several times.
 
     Returns:
-        (P,) int64 the edge of each part, and the parts.
+        (P,) int64, the number of the edge of each part, and the parts.
     """
     along = b - a
     length = dot(along, along).clamp_min(TINY)
@@ -217,16 +217,16 @@ def parts_of_edges(a: Vec3, b: Vec3, resting: Resting, edge: Tensor) -> tuple[Te
 
 def edges_in_parts(geometry: Geometry, edges: Edges, instance: Tensor | None,
                    resting: Resting) -> tuple[Tensor, EdgeParts] | None:
-    """Divides the edges of an outline where parts of them lie on other surfaces; None: none do.
+    """Divides edges where parts of them lie on other surfaces; None: there are no such parts.
 
     Args:
         geometry: of the scene, detached.
         edges: E edges.
-        instance: (E,) int32 that shows each; None: the scene has none.
-        resting: the parts.
+        instance: (E,) int32, the instance of each; None: the scene has none.
+        resting: the parts of edges that lie on surfaces.
 
     Returns:
-        (P,) int64, rows of the edges, of which some come up several times, and the part that is meant of each.
+        (P,) int64, the row of the edge of each part, where rows may occur several times; and the parts.
     """
     wanted, place = keys_of(resting.corner, resting.instance).unique(return_inverse=True)
     edge = torch.full_like(wanted, -1)

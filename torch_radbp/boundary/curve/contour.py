@@ -74,13 +74,13 @@ Level = Callable[[Camera, Vec3, Vec3 | None, Vec2 | None], Tensor]
 
 
 class TriangleLevel(NamedTuple):
-    """A quadratic level function on triangles by its six numbers F_ij, (N,) each."""
+    """A quadratic level function on triangles, by its six coefficients F_ij, (N,) each."""
 
     corner: tuple[Tensor, Tensor, Tensor]  # F_00, F_11, F_22
     side: tuple[Tensor, Tensor, Tensor]  # F_01, F_02, F_12
 
     def crosses(self, margin: Tensor | float) -> Tensor:
-        """(N,) bool: the level may vanish somewhere in the triangle, or come within a margin of 0."""
+        """(N,) bool: the level may vanish somewhere in the triangle, or come within `margin` of 0."""
         numbers = (*self.corner, *self.side)
         below, above = numbers[0] < margin, numbers[0] > -margin
         for number in numbers[1:]:
@@ -95,7 +95,7 @@ class TriangleLevel(NamedTuple):
 
 
 class OnTriangle(NamedTuple):
-    """Points of curves on triangles, (N,) each."""
+    """Points on curves inside of triangles, (N,) each."""
 
     u: Tensor  # barycentric coordinates: of the second corner
     v: Tensor  # of the third
@@ -103,7 +103,7 @@ class OnTriangle(NamedTuple):
 
 
 class OnFilm(NamedTuple):
-    """Points on curves of triangles as a camera sees them, (N,) each."""
+    """Points on curves inside of triangles as a camera sees them, (N,) each."""
 
     p: Vec3  # world
     film: Vec2  # pixels
@@ -113,9 +113,9 @@ class OnFilm(NamedTuple):
 
 
 def _facing(camera: Camera, p: Vec3, n: Vec3, aperture: Vec2 | None) -> Tensor:
-    """The level function of rims: positive where the viewer is on the side of the shading normal.
+    """The level function of rims, which is positive where the viewer is on the shading normal's side of the surface.
 
-    A rim along an edge is moved into one of its two triangles, by next to nothing.
+    A rim that runs along an edge is moved slightly into one of its two triangles.
     """
     towards = camera.kind.towards(camera.lens, p, aperture)
     return dot(n, towards) + ASIDE * torch.sqrt(dot(towards, towards)).detach()
@@ -136,7 +136,7 @@ LEVELS: dict[int, Level] = {RIM: _facing, NEAR: beyond_near, FAR: beyond_far}
 
 @film_term
 class Contours(FilmTerm):
-    """Rims of smooth shading, and the curves at which the near and the far plane of a camera cut surfaces."""
+    """The film curves of rims, where shading normals turn away from the camera, and of cuts by its near and far plane."""
 
     rank = 1
     kinds = RIM, NEAR, FAR
@@ -157,7 +157,7 @@ class Contours(FilmTerm):
 
 
 def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int) -> CurvesInView:
-    """The visible curves of one kind inside of triangles, which they may cross."""
+    """The visible curves of one kind inside of `faces`, triangles that they may cross."""
     stages, geometry, sight, camera = viewed[:4]
     aperture = camera.kind.has_aperture
     inside, whole = stages(contour_length)(geometry, sight, faces, kind)
@@ -177,13 +177,13 @@ def contours_in_view(viewed: ExaminedView, faces: Faces, kind: int) -> CurvesInV
 
 @stage("geometry", "sight")
 def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ...]) -> tuple[Tensor, ...]:
-    """For each kind of curve, (F,) bool: triangles that may contain one in view from somewhere on the lens.
+    """For each kind of curve, (F,) bool: triangles that may contain a curve visible from somewhere on the lens.
 
     Args:
         geometry: of the scene, detached.
         sight: of the camera.
-        faces: (F,).
-        kinds: of the curves: RIM, NEAR or FAR.
+        faces: (F,) the triangles.
+        kinds: the kinds of curves: RIM, NEAR or FAR.
     """
     between, triangles = faces.between(geometry), geometry.triangles
     aperture = middle(sight, geometry, between)
@@ -201,9 +201,9 @@ def crosses(geometry: Geometry, sight: Sight, faces: Faces, kinds: tuple[int, ..
 
 @stage("geometry", "sight")
 def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Tensor, Tensor]:
-    """The lengths of curves in triangles on the film, in view and in total, estimated by some lines; (F,) pixels.
+    """The estimated lengths of curves in triangles on the film, in view and in total; (F,) pixels.
 
-    Args: as for `crosses`, and one kind.
+    Args as for `crosses`, with one kind.
     """
     camera, film = sight.camera, sight.camera.film
     between, _ = from_apex(geometry, sight, faces, kind)
@@ -224,13 +224,13 @@ def contour_length(geometry: Geometry, sight: Sight, faces: Faces, kind: int) ->
 @stage("geometry", "sight", "faces", "lot")
 def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, count: Tensor, lane: Tensor,
                   kind: int) -> Places:
-    """Samples curves of one kind, in proportion to their lengths on the film.
+    """Samples points on curves of one kind, in proportion to their lengths on the film.
 
     Args:
         geometry, sight, faces, kind: as for `contour_length`.
-        lot: of the triangles.
-        count: () int32, how many lines there are.
-        lane: (2 N,) int32, first the first place of each line, then the second.
+        lot: the distribution of samples over the triangles.
+        count: () int32, the number of lines across triangles that are sampled.
+        lane: (2 N,) int32, for each line its first intersection with the curve; then for each its second one.
     """
     camera, line = sight.camera, lane % count
     numbers = place_numbers(sight, line, kind)
@@ -257,7 +257,7 @@ def contour_place(geometry: Geometry, sight: Sight, faces: Faces, lot: Lot, coun
 
 
 def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tuple[Between, Tensor]:
-    """The vertices of triangles, first the one whose level differs in sign from the others'; and (F,) int32 which."""
+    """The vertices of triangles, first the one whose level differs in sign from the others; and its index, (F,) int32."""
     first, second, third = between = faces.between(geometry)
     level = net(geometry, sight.camera, between, faces.instance, kind, middle(sight, geometry, between))
     a, b, c = (torch.sign(value) for value in level.corner)
@@ -268,12 +268,12 @@ def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tupl
 
 
 def geometry_number(geometry: Geometry, between: Between) -> Tensor:
-    """(F,) a float64 tensor with an entry for each triangle, as a template."""
+    """(F,) a float64 tensor with one entry for each triangle, as a template for others."""
     return lookup(geometry.triangles.vertices.p.x, between.first).double()
 
 
 def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
-    """The centre of the lens, repeated for each triangle; None: a pinhole."""
+    """The centre of the lens, repeated for each triangle; None: the camera is a pinhole."""
     if not sight.camera.kind.has_aperture:
         return None
     half = torch.full_like(geometry_number(geometry, between), 0.5)
@@ -282,7 +282,7 @@ def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
 
 def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
         aperture: Vec2 | None) -> TriangleLevel:
-    """The level function's six numbers F_ij on triangles, from its values at corners and in the middle of sides."""
+    """The `TriangleLevel` of a level function, from its values at corners and midpoints of sides."""
     p = positions(geometry, between, instance)
     n = vertex_normals(geometry, between, instance) if kind == RIM else (None,) * 3
     level = LEVELS[kind]
@@ -292,11 +292,11 @@ def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor |
 
 
 def _met(level: TriangleLevel, along: Tensor) -> list[OnTriangle]:
-    """The at most two intersections of a curve with lines from the first corner to points of the opposite side.
+    """The intersections, at most two, of a curve with lines from the first corner to points on the opposite side.
 
     Args:
         level: of triangles.
-        along: (N,) in [0, 1], which lines: in equal steps along the curve, if the level is linear.
+        along: (N,) in [0, 1], the lines, such that equal steps are equal along the curve if the level is linear.
     """
     (f0, f1, f2), (f01, f02, f12) = level
     # A straight curve divides the sides at the first corner by these shares.
@@ -316,7 +316,7 @@ def _met(level: TriangleLevel, along: Tensor) -> list[OnTriangle]:
 
 
 class OnView:
-    """Curves in triangles as a camera sees them. Args as for `net`."""
+    """The curves of one kind inside of triangles as a camera sees them. Args as for `net`."""
 
     def __init__(self, geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
                  aperture: Vec2 | None):
@@ -325,7 +325,7 @@ class OnView:
         self.net = net(geometry, camera, between, instance, kind, aperture)
 
     def at(self, place: OnTriangle) -> OnFilm:
-        """The image of points on the curves, with the curve's course there."""
+        """Points on the curves as the camera sees them, with the curve's normal and motion on the film."""
         camera, corners, aperture = self.camera, self.corners, self.aperture
         p = interpolated(corners, place.u, place.v)
         of_u, of_v = velocities_on_film(camera, p, [corner - corners[0] for corner in corners[1:]], aperture)
@@ -337,28 +337,28 @@ class OnView:
 
 
 def astride(camera: Camera, seen: OnFilm, aperture: Vec2 | None) -> Vec2:
-    """The step, in u and v, across a rim after which the shading normal surely faces the viewer; its negative: away."""
+    """The step in u and v across a rim to where the shading normal faces the viewer; the opposite step: faces away."""
     towards = camera.kind.towards(camera.lens, seen.p, aperture)
     reach = seen.uphill * (ASTRIDE * torch.sqrt(dot(towards, towards)))
     return reach * (FARTHEST_ASTRIDE / torch.sqrt(reach.x * reach.x + reach.y * reach.y)).clamp_max(1.0)
 
 
 def glued(triangle: Tensor, apex: Tensor, u: Tensor, v: Tensor) -> Glued:
-    """Points fixed to triangles, from u and v that count from the vertex `apex`."""
+    """Points fixed to triangles, from barycentric coordinates u and v that count from the vertex `apex`."""
     w = 1.0 - u - v
     return Glued(triangle, torch.where(apex == 0, u, torch.where(apex == 1, w, v)),
                  torch.where(apex == 0, v, torch.where(apex == 1, u, w)))
 
 
 def in_window(camera: Camera, film: Vec2, normal: Vec2) -> Tensor:
-    """(N,) bool: samples in view that stand for a piece of a curve."""
+    """(N,) bool: samples that contribute to some pixel and whose curve has a direction."""
     reach, squared = camera.film.kernel.radius, normal.x * normal.x + normal.y * normal.y
     across = (film.x >= -reach) & (film.x <= camera.film.columns + reach)
     return across & (film.y >= -reach) & (film.y <= camera.film.rows + reach) & torch.isfinite(squared) & (squared > 0.0)
 
 
 def level_at(geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor:
-    """The level function at samples on its curve, fixed to their triangles; (N,) attached, 0 up to rounding."""
+    """The level function at samples on its curve, which are fixed to triangles; (N,) attached, 0 up to rounding."""
     n = None
     if kind == RIM:
         n = interpolated(vertex_normals(geometry, places.between, places.instance), places.u, places.v)

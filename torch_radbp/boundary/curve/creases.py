@@ -16,15 +16,15 @@ SHADED = -1  # none, but that the light of a lamp may end there: inside of smoot
 
 
 def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:
-    """Classifies edges as creases; see `Outline.crease`.
+    """The kind of crease that each edge is, (E,) int32; see `Outline.crease`.
 
     Args:
         edges: of triangles of this table.
         triangles: of the scene, detached.
-        shape: (T,) int32, that each triangle belongs to; None: all to the same.
+        shape: (T,) int32, the shape of each triangle; None: all belong to one.
     """
     def of_both(column: Tensor) -> tuple[Tensor, Tensor]:
-        """Gathers a column of the triangle table for both triangles at each edge."""
+        """A column of the triangle table for both triangles at each edge."""
         return tuple(rows(column, torch.div(corner, 3, rounding_mode="floor")) for corner in edges.corner[:2])
 
     known = (edges.count == 2) if not triangles.attributes else torch.zeros_like(edges.count, dtype=torch.bool)

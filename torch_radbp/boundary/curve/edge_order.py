@@ -13,7 +13,7 @@ GROUP = 8  # edges below each of the last nodes
 
 
 class EdgeSlots(NamedTuple):
-    """The edges in the order of a tree, with the vertices of their triangles; (S,) int32 each."""
+    """The edges of a scene in the order of a tree, with the vertices of their triangles; (S,) int32 each."""
 
     edge: Tensor  # -1: none
     vertices: tuple[Tensor, ...]  # the edge's a and b, and the vertices opposite
@@ -21,14 +21,14 @@ class EdgeSlots(NamedTuple):
 
 
 def slots_of(body: Tensor, points: Tensor) -> Tensor:
-    """The order of edges in the tree, (S,) int32, S a power of 2; -1: an empty slot.
+    """The edge in each slot of a tree, (S,) int32, S a power of 2; -1: an empty slot.
 
-    Each body has a node of its own: room for a power of 2 of edges, at a multiple of that, the largest first. In it edges
-    are halved again and again along the axis on which they lie farthest apart.
+    Each body has a node of its own, with a power of 2 of slots, the largest first. In it edges are ordered by median splits
+    along the axis on which they lie farthest apart.
 
     Args:
-        body: (E,) int32, whose edges they are.
-        points: (E, 3) on each edge, world.
+        body: (E,) int32, the body of each edge.
+        points: (E, 3) a point on each edge, world.
     """
     bodies, count = body.unique(return_counts=True)
     room = torch.pow(2, torch.ceil(torch.log2(count.double())).long()).clamp_min(GROUP)

@@ -42,7 +42,7 @@ ASKANCE = 1e-2  # cosine between line of sight and interpolated normal at the ed
 
 @film_term
 class OutlineEdges(FilmTerm):
-    """Edges of meshes that are silhouettes or creases."""
+    """The film curves of mesh edges: those that are silhouettes or creases."""
 
     rank = 0
 
@@ -52,12 +52,12 @@ class OutlineEdges(FilmTerm):
 
 @stage("geometry", "sight")
 def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
-    """The sampling weights of edges, (E,) float64: their visible length in pixels, less for weak discontinuities.
+    """The sampling weights of edges, (E,) float64: their length in view in pixels, less for weak discontinuities.
 
     Args:
         geometry: of the scene, detached.
         sight: of the camera.
-        outline: (E,).
+        outline: (E,) the edges.
     """
     edges = outline.edges
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite), outline.instance)
@@ -70,12 +70,11 @@ def edge_weight(geometry: Geometry, sight: Sight, outline: Outline) -> Tensor:
 
 
 def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:
-    """A bound of the discontinuity at edges that are no silhouettes, (E,) float64 in [0, 1]; 0: none.
+    """An upper bound of the discontinuity at edges that are no silhouettes, (E,) float64 in [0, 1]; 0: none.
 
     Args:
-        outline: (E,).
-        a, b, opposite: the ends of its edges and what lies opposite, of whose triangles' normals half of the difference
-            counts.
+        outline: (E,) the edges.
+        a, b, opposite: their ends, and the vertices opposite; the bound is half the difference of the triangles' normals.
     """
     jump = (outline.crease == WHOLE).double()
     if not outline.folds:
@@ -85,7 +84,7 @@ def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]
 
 
 def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
-    """Half the difference of the two triangles' normals at edges, (E,) float64; and the same with one normal flipped."""
+    """Half the length of the difference of the two triangles' normals at edges, (E,) float64; and that with one flipped."""
     here, there = (unit_normal(b - a, tip - a) for tip in opposite[:2])  # of two that are alike on opposite sides
     apart = [0.5 * torch.sqrt(dot(difference, difference)) for difference in (here + there, here - there)]
     return tuple(torch.where(half > COPLANAR, half, 0.0) for half in apart)
@@ -93,12 +92,12 @@ def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
 
 @stage("geometry", "sight", "outline", "lot")
 def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, place: Tensor) -> Places:
-    """Samples an outline in proportion to its length on the film.
+    """Samples points on an outline in proportion to its length on the film.
 
     Args:
         geometry, sight, outline: as for `edge_weight`.
-        lot: of its edges.
-        place: (N,) int32, numbers of the places.
+        lot: the distribution of samples over its edges.
+        place: (N,) int32, the numbers of the samples.
     """
     camera, numbers = sight.camera, place_numbers(sight, place, SILHOUETTE)
     aperture = numbers.aperture
@@ -136,7 +135,7 @@ def edge_place(geometry: Geometry, sight: Sight, outline: Outline, lot: Lot, pla
 
 
 class PlaceOnEdge(NamedTuple):
-    """N samples on edges."""
+    """N samples on edges as a camera sees them."""
 
     instance: Tensor | None  # (N,) int32, that shows the edge
     p: Vec3  # world
@@ -146,7 +145,7 @@ class PlaceOnEdge(NamedTuple):
 
 
 class Sheet(NamedTuple):
-    """One of the triangles at sampled edges, as a camera sees it next to the sample; (N,)."""
+    """One of the triangles at each sampled edge, as a camera sees it next to the sample; (N,)."""
 
     point: Glued  # a point of the triangle next to the sample
     ahead: Tensor  # how far it extends ahead of the edge on the film, not normalised
@@ -156,11 +155,11 @@ class Sheet(NamedTuple):
 
 def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3], corner: Tensor,
              here: PlaceOnEdge) -> Sheet:
-    """The triangle at each of some samples on edges, and its course on the film.
+    """One triangle at each of N samples on edges, and how it extends from the edge on the film.
 
     Args:
-        corners: the ends of the edge, and what lies opposite.
-        corner: (N,) int32, the number of that corner among all.
+        corners: the ends of the edge, and the opposite vertex of the triangle.
+        corner: (N,) int32, the index of that corner among all.
         here: the samples.
     """
     (a, b, opposite), (instance, p, film, normal, aperture) = corners, here
@@ -192,13 +191,13 @@ def sheet_at(geometry: Geometry, sight: Sight, corners: tuple[Vec3, Vec3, Vec3],
 
 def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: Tensor | None, share: Tensor,
               towards: Vec3) -> Tensor:
-    """The cosines between lines of sight and interpolated normals at edges, (N,); 1 for flat triangles.
+    """The cosines between lines of sight and interpolated normals at points of edges, (N,); 1 for flat triangles.
 
     Args:
-        triangle: (N,) int32.
+        triangle: (N,) int32, one triangle at each edge.
         between: the vertices opposite the edges, and those at their ends.
-        instance: (N,) int32 that shows these.
-        share: (N,) of the way along the edges.
+        instance: (N,) int32, the instances of the triangles.
+        share: (N,) positions along the edges, as shares of their lengths.
         towards: (N,) the viewer, of any length.
     """
     _, start, end = vertex_normals(geometry, between, instance)
@@ -208,7 +207,7 @@ def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: 
 
 
 def _in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
-    """The visible triangles behind and ahead of edges: at silhouettes the nearer one twice; unknown where not `known`."""
+    """The visible triangles behind and ahead of edges: at silhouettes the nearer one for both; unknown where not `known`."""
     one, two = sheets
     nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
     found = []

@@ -19,7 +19,7 @@ MOST_MEETING = 8  # triangles at an edge that are told apart
 
 
 class Edges(NamedTuple):
-    """E edges of a mesh, and the triangles at each, at most `MOST_MEETING`."""
+    """E edges of a mesh, and the triangles that meet at each, at most `MOST_MEETING`."""
 
     a: Tensor  # (E,) int32, one end, a row of the mesh's vertices, of the first triangle
     b: Tensor  # (E,) the other
@@ -31,13 +31,13 @@ class Edges(NamedTuple):
 
 
 def joined_edges(parts: Sequence[Edges]) -> Edges:
-    """Joins several sets of edges."""
+    """Joins several sets of edges into one."""
     most = max(len(part.corner) for part in parts)
     return parts[0] if len(parts) < 2 else joined_records([padded(part, most) for part in parts])
 
 
 def padded(edges: Edges, most: int) -> Edges:
-    """Pads edges to columns for at least `most` triangles."""
+    """The edges with columns for at least `most` triangles each, filled by repetition."""
     opposite, corner = (column + column[:1] * (most - len(column)) for column in (edges.opposite, edges.corner))
     return edges._replace(opposite=opposite, corner=corner)
 
@@ -45,9 +45,9 @@ def padded(edges: Edges, most: int) -> Edges:
 def edges_of(vertices: Tensor, faces: Tensor) -> Edges:
     """Finds the edges of a mesh.
 
-    Vertices at the same place count as one, and an edge ends at those of its first triangle: others may be of shapes that
-    touch it and move otherwise. Degenerate triangles are skipped; an edge of one triangle ends at every vertex that lies on
-    it.
+    Vertices at the same place count as one; an edge has those of its first triangle, since others may belong to shapes that
+    touch it and move differently. Degenerate triangles are skipped; an edge of only one triangle is split at every vertex
+    that lies on it.
 
     Args:
         vertices: (V, 3), detached; may begin and end with vertices of other meshes.
@@ -83,7 +83,7 @@ def edges_of(vertices: Tensor, faces: Tensor) -> Edges:
 
 
 class Sides(NamedTuple):
-    """H sides of triangles, each by its end vertices and the opposite corner; (H,)."""
+    """H sides of triangles, each given by its end vertices and the opposite corner; (H,)."""
 
     low: Tensor  # int32, its end with the lesser index
     high: Tensor
@@ -92,12 +92,12 @@ class Sides(NamedTuple):
 
 
 def sides_between(start: Tensor, end: Tensor, corner: Tensor) -> Sides:
-    """The sides between given vertices, (H,) int32, opposite given corners."""
+    """The sides of triangles between given vertices, (H,) int32, opposite given corners."""
     return Sides(torch.minimum(start, end), torch.maximum(start, end), start < end, corner)
 
 
 def _sides_of(faces: Tensor) -> Sides:
-    """The sides of those triangles, (F, 3) int32, that are not degenerate."""
+    """The sides of all triangles, (F, 3) int32, that are not degenerate."""
     number = torch.arange(0, 3 * len(faces), 3, dtype=torch.int32, device=faces.device)
     one, two, three = faces.unbind(1)
     proper = (one != two) & (two != three) & (three != one)
@@ -116,7 +116,7 @@ def _sides_of(faces: Tensor) -> Sides:
 
 
 class Meeting(NamedTuple):
-    """E edges as groups of coinciding sides."""
+    """E edges as groups of triangle sides that coincide."""
 
     low: Tensor  # (E,) int32, its ends
     high: Tensor
@@ -125,7 +125,7 @@ class Meeting(NamedTuple):
 
 
 def _met(sides: Sides, vertices: int) -> Meeting:
-    """Groups sides by their vertices into edges."""
+    """Groups triangle sides with the same end vertices into edges."""
     order, low, high = in_order(sides.low, sides.high, vertices)
     begins = torch.ones_like(sides.forward)
     begins[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
@@ -138,13 +138,13 @@ def _met(sides: Sides, vertices: int) -> Meeting:
 
 
 def ends_of_side(flat: Tensor, label: Tensor, corner: Tensor, edges: Meeting) -> list[Tensor]:
-    """The vertices at the ends of edges in given triangles, (E,) int32 each; for a piece of a side the edge's own.
+    """The vertices of given triangles at the ends of edges, (E,) int32 each; for a part of a side, the edge's own ends.
 
     Args:
         flat: (3 F,) int32, the vertices at all corners.
         label: (V,) int32, for each vertex the first one at the same place.
         corner: (E,) int32, the corners opposite the edges in these triangles.
-        edges: what ends there, by first vertices.
+        edges: the edges, whose ends are given by first vertices.
     """
     one, two = sides_ends(flat, corner)
     return [torch.where(rows(label, one) == end, one, torch.where(rows(label, two) == end, two, end))

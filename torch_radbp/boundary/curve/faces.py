@@ -14,7 +14,7 @@ from torch_radbp.tensors.record import joined, leaves_of
 
 
 class Faces(NamedTuple):
-    """F triangles in the world, as functions of lanes read them."""
+    """F triangles of a scene, some of which may come from instances, as stages read them."""
 
     triangle: Tensor  # (F,) int32, rows of the scene's triangles
     instance: Tensor | None  # (F,) int32 instance as in a hit; None: the scene has none
@@ -25,7 +25,7 @@ class Faces(NamedTuple):
         return Between(*lookup(geometry.triangles.corners, self.triangle))
 
     def corners(self, geometry: Geometry) -> Corners:
-        """The corners of the triangles in the world, attached; float64."""
+        """The corner positions of the triangles in the world, attached; float64."""
         return positions(geometry, self.between(geometry), self.instance)
 
 
@@ -37,7 +37,7 @@ def joined_faces(parts: list[Faces]) -> Faces | None:
 
 
 def with_shares(parts: Sequence[Any]) -> list[Any]:
-    """The records with a `share` each, of 1, (N,) float64, where they have none, if one of them has one."""
+    """The records, each with a `share`: 1, (N,) float64, where it had none, if any record has one."""
     if all(part.share is None for part in parts):
         return list(parts)
     return [part if part.share is not None else part._replace(share=torch.ones_like(leaves_of(part)[0], dtype=torch.float64))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class ExaminedView(NamedTuple):
-    """A view whose discontinuities are sampled."""
+    """A view whose discontinuity curves are sampled."""
 
     stages: Stages
     geometry: Geometry | Any  # detached; prepared for the stages
@@ -41,18 +41,18 @@ class ExaminedView(NamedTuple):
 
 
 class CurvesInView(NamedTuple):
-    """The discontinuity curves of one kind that a view sees."""
+    """The discontinuity curves of one kind in a view, and a function that samples them."""
 
     length: float  # on the film, pixels; weak discontinuities count less
     places: Callable[[int], Places]  # samples so many points in proportion to length
 
 
 class FilmTerm(ABC):
-    """Curves along which what the camera sees jumps.
+    """The interface of a kind of curve along which the image of a camera is discontinuous.
 
     Attributes:
-        rank: its place among the terms.
-        kinds: of its curves, those that move over their triangles.
+        rank: the order among terms.
+        kinds: the kinds of its curves that may move over their triangles.
     """
 
     rank: ClassVar[int]
@@ -60,14 +60,14 @@ class FilmTerm(ABC):
 
     @abstractmethod
     def in_view(self, viewed: ExaminedView, jumps: Jumps) -> list[CurvesInView]:
-        """The curves that a view sees, kind by kind; `jumps`: where they may be."""
+        """The curves in a view, kind by kind; `jumps`: the edges and triangles that may have some."""
 
     def most(self, call: RenderCall) -> int:
-        """The number of kinds of which a view may see curves."""
+        """The greatest number of kinds of curves in a view."""
         return 1
 
     def level(self, geometry: Geometry, camera: Camera, places: Places, kind: int) -> Tensor | None:
-        """The level by which curves move over triangles, at samples fixed to these, (N,) attached; None: they do not."""
+        """The level function by which curves move over triangles, at samples fixed to these, (N,) attached; None: none."""
         return None
 
 
@@ -77,7 +77,7 @@ FILM_TERMS: list[FilmTerm] = []
 
 
 def film_term(term: Term) -> Term:
-    """Registers a term."""
+    """Registers a film term; a class decorator."""
     FILM_TERMS.append(term())
     FILM_TERMS.sort(key=lambda other: other.rank)
     return term
@@ -85,12 +85,12 @@ def film_term(term: Term) -> Term:
 
 def lines_in_view(viewed: ExaminedView, lines: Outline | Segments | None, weigh: Callable,
                   place: Callable) -> list[CurvesInView]:
-    """The visible straight curves of a view.
+    """The visible ones of straight curves, as at most one `CurvesInView`.
 
     Args:
-        viewed: from where.
-        lines: in the world; None: there are none.
-        weigh, place: the stages that give their lengths in view, and places on them.
+        viewed: the view.
+        lines: edges or segments in the world; None: there are none.
+        weigh, place: the stages that compute their lengths in view, and sample points on them.
     """
     stages, geometry, sight = viewed[:3]
     if lines is None:
@@ -106,5 +106,5 @@ def lines_in_view(viewed: ExaminedView, lines: Outline | Segments | None, weigh:
 
 
 def lanes(count: int, like: Tensor) -> Tensor:
-    """The int32 tensor 0, 1, ..., (count,)."""
+    """The int32 tensor 0, 1, ..., count - 1."""
     return torch.arange(count, dtype=torch.int32, device=like.device)

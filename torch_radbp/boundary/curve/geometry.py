@@ -18,13 +18,13 @@ Corners = tuple[Vec3, Vec3, Vec3]
 
 
 class NormalsOnly(NamedTuple):
-    """A part of `Layout`: whether vertices have shading normals."""
+    """The one field of `Layout` that geometry needs: whether vertices have shading normals."""
 
     shading_normals: bool
 
 
 class Geometry(NamedTuple):
-    """The triangles of a scene, in place of `SceneTensors`; attached."""
+    """The triangles of a scene, used in place of `SceneTensors` for boundary terms; attached."""
 
     triangles: TriangleTable
     layout: NormalsOnly
@@ -32,13 +32,13 @@ class Geometry(NamedTuple):
 
 
 class _ShownBy(NamedTuple):
-    """The instance of group vertices, in place of a `Hit`."""
+    """The instances that show vertices, for functions that expect a `Hit`."""
 
     instance: Tensor  # (N,) int32, as hits count
 
 
 class Between(NamedTuple):
-    """Three vertices for each lane, rows of the vertex table; (N,) int32."""
+    """Three vertices for each lane, as rows of the vertex table; (N,) int32."""
 
     first: Tensor
     second: Tensor
@@ -46,7 +46,7 @@ class Between(NamedTuple):
 
 
 def geometry_of(scene: SceneTensors) -> Geometry:
-    """The geometry of a scene; with surface coordinates only if these are differentiated."""
+    """The `Geometry` of a scene; it has texture coordinates only if these are differentiated."""
     triangles = scene.triangles
     vertices = triangles.vertices._replace(attributes=())
     vertices = vertices if any_differentiated(vertices.uv) else vertices._replace(uv=None)
@@ -56,28 +56,28 @@ def geometry_of(scene: SceneTensors) -> Geometry:
 
 
 def point_at(geometry: Geometry, row: Tensor, instance: Tensor | None) -> Vec3:
-    """The world positions of vertices, (N,) int32 rows; attached, float64. `instance`: see `Places`."""
+    """The world positions of vertices, given by rows, (N,) int32; attached, float64. `instance`: see `Places`."""
     point, = in_world(geometry, (row,), instance)
     return point
 
 
 def positions(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
-    """The corners of triangles in the world, attached; float64."""
+    """The world positions of the corners of triangles, attached; float64."""
     return in_world(geometry, between, instance)
 
 
 def in_world(geometry: Geometry, vertices: tuple[Tensor, ...], instance: Tensor | None) -> tuple[Vec3, ...]:
     """The world positions of several vertices per lane, (N,) int32 rows each; attached, float64.
 
-    Instances place them in float64, too: a triangle's own edges must lie in its plane by whichever way both are computed.
-    Were they off by what float32 rounds, points close to them would take them for silhouettes.
+    Instances transform them in float64, too: if edges were off their triangles' planes by rounding of float32, they would be
+    silhouettes from viewpoints close by.
     """
     points = tuple(lookup(geometry.triangles.vertices.p, row).map(torch.Tensor.double) for row in vertices)
     return points if instance is None else points_in_world(geometry, _ShownBy(instance), points)
 
 
 def vertex_normals(geometry: Geometry, between: Between, instance: Tensor | None) -> Corners:
-    """The unit shading normals at the three vertices of triangles."""
+    """The unit shading normals at the three corners of triangles."""
     normals = tuple(lookup(geometry.triangles.vertices.n, row) for row in between)
     normals = normals if instance is None else shown_normals(geometry, _ShownBy(instance), normals)
     return tuple(normal.map(torch.Tensor.double) for normal in normals)

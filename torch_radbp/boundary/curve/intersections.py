@@ -33,7 +33,7 @@ class Boxes(NamedTuple):
     high: Vec3
 
     def overlap(self, others: Boxes) -> Tensor:
-        """True where boxes overlap others; bool."""
+        """(N,) bool: boxes that overlap the corresponding boxes of others."""
         found = None
         for low, high, other_low, other_high in zip(self.low, self.high, others.low, others.high):
             both = (low <= other_high) & (other_low <= high)
@@ -43,7 +43,7 @@ class Boxes(NamedTuple):
 
 @stage("geometry")
 def boxes_around(geometry: Geometry, faces: Faces) -> Boxes:
-    """The bounding boxes of triangles, (F,); float64."""
+    """The bounding boxes of triangles, (F,) world; float64."""
     corners = faces.corners(geometry)
     return Boxes(*(Vec3(*(extreme(extreme(a, b), c) for a, b, c in zip(*corners)))
                    for extreme in (torch.minimum, torch.maximum)))
@@ -65,14 +65,14 @@ class Bodies(NamedTuple):
 
 
 class Met(NamedTuple):
-    """The segments along which bodies intersect or touch; None: there are none."""
+    """The segments along which bodies intersect, and those along which they touch; None: there are none."""
 
     segments: Segments | None  # along which they pass through each other
     touching: Segments | None  # parts of sides of triangles that lie on other triangles
 
 
 def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
-    """Finds the segments along which bodies intersect. `geometry`: of the scene, detached."""
+    """Finds the segments along which bodies intersect or touch. `geometry`: of the scene, detached."""
     faces, sizes, moves = bodies
     boxes = stages(boxes_around)(geometry, faces)
     around = boxes_of_bodies(boxes, sizes)
@@ -91,7 +91,7 @@ def intersections(stages: Stages, geometry: Geometry, bodies: Bodies) -> Met:
 
 
 def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
-    """The bounding boxes of bodies, from those of their triangles; a body without any has an empty box."""
+    """The bounding boxes of bodies, from those of their triangles; empty for a body without triangles."""
     def extreme(way: str, none: float, columns: Vec3) -> Vec3:
         return Vec3(*(torch.segment_reduce(column, way, lengths=sizes, initial=none) for column in columns))
 
@@ -99,7 +99,7 @@ def boxes_of_bodies(boxes: Boxes, sizes: Tensor) -> Boxes:
 
 
 def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
-    """The pairs of bodies with overlapping boxes of which one moves."""
+    """The pairs of bodies whose boxes overlap and of which one moves."""
     found, count = [], len(moves)
     for own in torch.arange(count, device=moves.device).split(max(1, MOST // max(count, 1))):
         meet = rows(bodies, own)
@@ -111,19 +111,19 @@ def meeting(bodies: Boxes, moves: Tensor) -> Pairs:
 
 
 def _expanded(counts: Tensor) -> tuple[Tensor, Tensor]:
-    """Expands counts, (N,) int64, to one row per item: its owner, and its number within the owner."""
+    """For counts, (N,) int64, one entry per counted item: the index of its owner, and its number within the owner."""
     which = torch.repeat_interleave(counts)
     return which, torch.arange(len(which), device=which.device) - (counts.cumsum(0) - counts)[which]
 
 
 def _reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Tensor, other: Tensor) -> Pairs:
-    """The triangles of bodies that reach into the box of another body, as pairs of (pair of bodies, triangle).
+    """The triangles that reach into the box of the other body of a pair, as pairs of (pair of bodies, triangle).
 
     Args:
         boxes: of all triangles.
-        bodies: likewise.
+        bodies: the boxes of all bodies.
         first, sizes: (B,) the first triangle of each body, and how many it has.
-        own, other: (P,) pairs of bodies.
+        own, other: (P,) the two bodies of each pair.
     """
     found, size = [], sizes[own]
     for part in torch.arange(len(own), device=own.device).split(_parts_of(size)):
@@ -136,11 +136,11 @@ def _reaching(boxes: Boxes, bodies: Boxes, first: Tensor, sizes: Tensor, own: Te
 
 
 def _candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterator[Pairs]:
-    """Yields pairs of triangles with overlapping boxes, in parts.
+    """Yields pairs of triangles with overlapping boxes, in parts of bounded size.
 
     Args:
         boxes: of all triangles.
-        ones, others: of each of `count` pairs of bodies, the triangles of either that reach into the box of the other.
+        ones, others: for each of `count` pairs of bodies, the triangles of either that reach into the box of the other.
     """
     low, high = boxes.low.x, boxes.high.x
     start = min(float(low[own.other].min()) if len(own.other) else torch.inf for own in (ones, others))
@@ -165,24 +165,24 @@ def _candidates(boxes: Boxes, ones: Pairs, others: Pairs, count: int) -> Iterato
 
 
 def _parts_of(counts: Tensor) -> list[int]:
-    """Divides items with counts, (N,) int64, into parts of bounded total."""
+    """Divides items with counts, (N,) int64, into parts of bounded total count; returns the numbers of items."""
     return torch.bincount(torch.div(counts.cumsum(0) - counts, MOST, rounding_mode="floor")).tolist()
 
 
 class Planes(NamedTuple):
-    """N pairs of triangles, with the position of each relative to the other's plane."""
+    """N pairs of triangles, with the heights of the corners of each above the plane of the other."""
 
     faces: tuple[Faces, Faces]
     corners: tuple[Corners, Corners]
     heights: tuple[Heights, Heights]  # of either triangle's corners above the other's plane
 
     def turned(self) -> Planes:
-        """The same pairs with the triangles exchanged."""
+        """The same pairs with the two triangles exchanged."""
         return Planes(*(part[::-1] for part in self))
 
 
 class Heights(NamedTuple):
-    """The heights of N triangles' corners above the planes of others."""
+    """The heights of the corners of N triangles above planes."""
 
     height: tuple[Tensor, Tensor, Tensor]  # (N,) of any unit
     least: Tensor  # (N,) height below which a corner counts as in the plane, same unit
@@ -190,7 +190,7 @@ class Heights(NamedTuple):
 
 
 def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
-    """Computes the position of paired triangles relative to each other's planes."""
+    """The `Planes` of pairs of triangles, given by row."""
     both = rows(faces, pairs.one), rows(faces, pairs.other)
     corners = both[0].corners(geometry), both[1].corners(geometry)
     scale = TOUCHING * torch.stack([column.abs() for corner in corners[0] for column in corner]).amax(0)
@@ -198,19 +198,19 @@ def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
 
 
 def segments_between(geometry: Geometry, faces: Faces, pairs: Pairs) -> Segments:
-    """The segments along which pairs of triangles intersect, on the first of each."""
+    """The segments along which pairs of triangles, given by row, intersect, each on the first triangle of its pair."""
     return segments_on(planes_of(geometry, faces, pairs))
 
 
 def segments_on(planes: Planes) -> Segments:
-    """The segments along which pairs of triangles intersect, on the first of each."""
+    """The segments along which the pairs of triangles in `planes` intersect, each on the first triangle of its pair."""
     meet = planes.heights[0].crosses & planes.heights[1].crosses
     planes = rows(planes, meet.nonzero().squeeze(1))
     return _segments_along(planes, tuple(own.height for own in planes.heights))
 
 
 def sides_on(planes: Planes) -> Segments:
-    """The parts of the first triangle's sides that lie on the second one, while its third corner does not.
+    """The parts of the first triangle's sides that lie on the second triangle, while its third corner does not.
 
     The second triangle reaches to both sides of the plane of the first one, or ends there.
     """
@@ -229,11 +229,11 @@ def sides_on(planes: Planes) -> Segments:
 
 
 def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor], ...]) -> Segments:
-    """The segments that both triangles of each pair share, on the first of each.
+    """The segments that both triangles of each pair share, on the first triangle.
 
     Args:
         planes: (N,) the pairs.
-        heights: of the corners of either triangle above the plane of the other, (N,) each; the segment is where they are 0.
+        heights: of the corners of either triangle above the plane of the other, (N,) each; 0 on the segment.
     """
     (one, other), corners, _ = planes
     ends = [zero_crossings(*own) for own in heights]  # on the first triangle, on the second one
@@ -250,11 +250,11 @@ def _segments_along(planes: Planes, heights: tuple[tuple[Tensor, Tensor, Tensor]
 
 
 def heights_above(plane: Corners, corners: Corners, least: Tensor) -> Heights:
-    """The heights of triangles' corners above planes.
+    """The heights of triangles' corners above the planes of other triangles.
 
     Args:
-        plane: the vertices of triangles in these planes.
-        corners: of the triangles.
+        plane: the corners of the other triangles.
+        corners: the corners whose heights are computed.
         least: (N,) the distance from a plane below which a corner touches it.
     """
     normal = cross(plane[1] - plane[0], plane[2] - plane[0])

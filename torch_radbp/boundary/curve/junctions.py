@@ -10,7 +10,7 @@ MOST_PAIRS = 1 << 22  # of edges and vertices that are looked at together
 
 
 def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor]:
-    """Cuts edges into pieces at vertices that lie on them.
+    """Cuts edges into pieces at the vertices that lie on them (T-junctions).
 
     Args:
         points: (V, 3) float64, all vertices.
@@ -18,8 +18,8 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
         tolerance: the distance below which a vertex lies on an edge, or at its end.
 
     Returns:
-        (P,) int64 of which edge each piece is, ascending, and (2, P) int64 its ends, in the direction of the edge. There are
-        none of an edge that no vertex lies on.
+        (P,) int64, the edge of each piece, ascending, and (2, P) int64 its ends, in the direction of the edge. Edges on
+        which no vertex lies have no pieces.
     """
     edge, share, vertex = vertices_on(points, ends, tolerance)
     cut = edge.unique()
@@ -34,7 +34,7 @@ def cut_at_vertices(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Ten
 
 
 def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Finds vertices on edges: (J,) int64 edges, positions along them, (J,) int64 vertices. Args: as `cut_at_vertices`."""
+    """The vertices on edges: (J,) int64 edges, positions along these, (J,) int64 vertices. Args: as `cut_at_vertices`."""
     height, own = points @ points.new_tensor(OBLIQUE), ends.unique()
     places, order = height[own].sort(stable=True)
     own, of_ends = own[order], height[ends]
@@ -48,7 +48,7 @@ def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor,
 
 def on_edges(points: Tensor, ends: Tensor, own: Tensor, edges: Tensor, first: Tensor, counts: Tensor,
              tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """`vertices_on` for some `edges`, each compared with `counts` of the vertices `own` from `first` on."""
+    """As `vertices_on`, for some `edges`: each is compared with `counts` of the vertices `own`, from `first` on."""
     edge = edges.repeat_interleave(counts)
     place = torch.arange(len(edge), device=edge.device) + (first - (counts.cumsum(0) - counts)).repeat_interleave(counts)
     vertex, (start, end) = own[place], points[ends[:, edge]]

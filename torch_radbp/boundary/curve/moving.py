@@ -24,7 +24,7 @@ class Moving(NamedTuple):
 
 
 def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Faces | None:
-    """The triangles of all that moves; None: nothing does. Args as for `Outlines.of`."""
+    """The triangles of all shapes that move, instances included; None: nothing moves. Args as for `Outlines.of`."""
     triangles, firsts = scene.triangles, list(accumulate(counts, initial=0))
     device = triangles.material.device
     instances = triangles.casting_instances
@@ -50,15 +50,15 @@ def moving_faces(scene: SceneTensors, counts: Sequence[int], moving: Moving, gen
 
 def chosen_instances(instances: Instances, group: int, moving: Moving, everywhere: bool, size: int,
                      generator: torch.Generator) -> tuple[Tensor, float]:
-    """Selects moving instances of a group, int64 from 0, at random if there are too many; and the fraction selected.
+    """The moving instances of a group, int64 from 0, a random part of them if there are too many; and the fraction selected.
 
     Args:
         instances: of all groups.
-        group: which.
-        moving: what does.
+        group: the index of the group.
+        moving: the shapes and instances that move.
         everywhere: whether something in the group moves, and so all instances.
-        size: of what each instance shows.
-        generator: picks some where there are too many.
+        size: the number of triangles or edges that each instance shows.
+        generator: selects instances if there are too many.
     """
     shows = range(*instances.first_instance[group:group + 2])
     wanted = torch.tensor([number for number in shows if everywhere or moving.instances[number]], dtype=torch.int64)

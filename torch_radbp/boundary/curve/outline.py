@@ -45,7 +45,7 @@ from torch_radbp.tensors.vec import rows
 
 
 class Outline(NamedTuple):
-    """E edges of a scene's triangles, in the world, as functions of lanes read them."""
+    """E edges of a scene's triangles in the world, at which an image may be discontinuous, as stages read them."""
 
     edges: Edges  # by rows of the vertex table
     instance: Tensor | None  # (E,) int32 instance as in a hit; None: the scene has none
@@ -56,12 +56,12 @@ class Outline(NamedTuple):
     slots: EdgeSlots | None = None  # of everything, see `edge_order.slots_of`
 
     def triangle(self, edge: Tensor) -> Tensor:
-        """The first triangle at each of some edges, (N,) int32."""
+        """The first triangle at each of given edges, (N,) int32."""
         return torch.div(rows(self.edges.corner[0], edge), 3, rounding_mode="floor")
 
 
 class Jumps(NamedTuple):
-    """The discontinuity curves of a view."""
+    """The edges, triangles and segments at which the image of a view may be discontinuous."""
 
     outline: Outline | None  # edges; None: there are none
     faces: Faces | None  # triangles that may contain curves
@@ -70,7 +70,7 @@ class Jumps(NamedTuple):
 
 
 class OutlinedMesh(NamedTuple):
-    """The edges of some triangles, cached with what they depend on."""
+    """The edges of some triangles, cached together with the tensors that they depend on."""
 
     corners: tuple[Tensor, Tensor, Tensor]  # of all triangles of the scene
     smooth: Tensor | None  # of all triangles of the scene
@@ -79,7 +79,7 @@ class OutlinedMesh(NamedTuple):
 
 
 class MeshShown(NamedTuple):
-    """The edges of a mesh, and the instances that show it."""
+    """The edges of one mesh, and the instances that show it."""
 
     mesh: Outline | None  # without instances, never written into; None: there are none
     chosen: Tensor | None  # (C,) int64, instances from 0; None: it is in the world
@@ -90,7 +90,7 @@ class MeshShown(NamedTuple):
         return self.mesh is other.mesh and self.part == other.part and _unchanged(self.chosen, other.chosen)
 
     def outline(self, instanced: bool) -> Outline:
-        """The edges in the world; `instanced`: the scene has instances."""
+        """These edges in the world; `instanced`: the scene has instances."""
         outline = self.mesh
         if self.chosen is None:
             return outline._replace(instance=torch.zeros_like(outline.crease)) if instanced else outline
@@ -102,14 +102,14 @@ class MeshShown(NamedTuple):
 
 
 class Shown(NamedTuple):
-    """The edges of all that moves, cached with what they depend on."""
+    """The edges of all moving meshes, cached together with what they depend on."""
 
     meshes: list[MeshShown]
     outline: Outline | None
 
 
 class Outlines:
-    """Finds outlines, and caches the edges of meshes whose triangles have not changed."""
+    """Finds the edges of meshes, and caches them while triangles are unchanged."""
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
@@ -120,11 +120,11 @@ class Outlines:
         self.passing = Passing()
 
     def of_views(self, rendering: Rendering, seed: int) -> list[Jumps]:
-        """The discontinuity curves of each view: at all shapes if its camera moves, or anything before which light is fixed
-        to surfaces (`eye/lit_sides.py`), else at moving shapes.
+        """The discontinuity curves of each view: those of moving shapes, or of all shapes if the camera moves. They are of
+        all shapes, too, if paths begin at lamps and anything moves (`eye/lit_sides.py`).
 
         Args:
-            rendering: of which something moves.
+            rendering: the rendering, in which something moves.
             seed: of the choice of instances.
         """
         scene, generator = rendering.call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
@@ -152,7 +152,7 @@ class Outlines:
         return [found[three] for three in wanted]
 
     def sliding(self, rendering: Rendering, seed: int) -> tuple[Segments | None, LineNumbers | None]:
-        """The segments of lines that move over their surface, and what they follow; args as for `of_views`."""
+        """The segments of texture lines that move over surfaces, and the lines' `LineNumbers`; args as for `of_views`."""
         names, lines = names_sliding(rendering), lines_on_shapes(rendering)
         numbers = numbers_of(lines, rendering.call) if any(names) else None
         if numbers is None:
@@ -164,7 +164,7 @@ class Outlines:
 
     def faces_of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  generator: torch.Generator) -> Faces | None:
-        """The triangles of all that moves, cached; args as for `of`."""
+        """The triangles of all shapes that move, cached; args as for `of`."""
         key, known = key_of(scene, counts), self.faces.get(moving)
         if known is not None and known[0] == key:
             return known[1]
@@ -174,13 +174,13 @@ class Outlines:
         return faces
 
     def edges_expected(self, triangles: int) -> int:
-        """The expected number of edges of so many triangles: that of last time, or the greatest possible."""
+        """The expected number of edges of `triangles` triangles: that of last time, or the greatest possible."""
         return self.sizes[1] if self.sizes is not None and self.sizes[0] == triangles else 3 * triangles
 
     def of_everything(self, rendering: Rendering, seed: int, most: int | None = None) -> Outline | None:
-        """The edges of all shapes; None: there are none. Args as for `of_views`.
+        """The edges of all shapes of a scene; None: there are none. Args as for `of_views`.
 
-        `most`: so many are enough, not divided where they lie on other surfaces; None: all.
+        `most`: return at most so many, not divided where they lie on other surfaces; None: all.
         """
         everything = Moving(*((True,) * len(part) for part in (rendering.movers, rendering.moving_instances)))
         generator, sizes = torch.Generator("cpu").manual_seed(seed % (1 << 63)), rendering.sizes
@@ -201,7 +201,7 @@ class Outlines:
         return found._replace(slots=self.order_of(scene, found, body))
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
-        """The edges in the order of their tree, cached; `body`: (E,) body of each edge."""
+        """The edges in the order of a tree over them, cached; `body`: (E,) the body of each edge."""
         edges, instance = outline.edges, outline.instance
         tables = (edges.a, edges.b, body, *edges.opposite)
         if self.order is None or len(tables) != len(self.order[0]) or not all(map(_unchanged, tables, self.order[0])):
@@ -212,13 +212,13 @@ class Outlines:
         return self.order[1]
 
     def of(self, scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Outline | None:
-        """The edges of all that moves; None: nothing does.
+        """The edges of all shapes that move; None: nothing moves.
 
         Args:
             scene: detached.
             counts: the number of triangles of each shape, those of groups last.
-            moving: what does.
-            generator: picks instances where there are too many; on the CPU.
+            moving: the shapes and instances that move.
+            generator: selects instances if there are too many; on the CPU.
         """
         triangles = scene.triangles
         instances = triangles.casting_instances
@@ -235,9 +235,9 @@ class Outlines:
         return known.outline
 
     def crossing(self, rendering: Rendering, seed: int) -> Segments | None:
-        """The segments along which bodies intersect each other or themselves, if one moves or its points may slide.
+        """The segments along which bodies intersect, if one moves or its points may slide; None: there are none.
 
-        None: nowhere. Args as for `of_views`.
+        Self-intersections are included. Args as for `of_views`.
         """
         wanted, scene, sizes = moving_or_sliding(rendering), rendering.call.still_scene, rendering.sizes
         if wanted is None:
@@ -250,7 +250,7 @@ class Outlines:
         return lambda number: self.mesh(scene.triangles, counts, (number,)).edges
 
     def of_bodies(self, scene: SceneTensors, counts: Sequence[int], moving: Moving) -> list[MeshOfBodies]:
-        """The edges of all that moves, without copies for instances; args as for `of`."""
+        """The edges of all meshes that move, once for all instances; args as for `of`."""
         triangles, instances = scene.triangles, scene.triangles.casting_instances
         parts = [(self.mesh(triangles, counts, in_the_world(scene, counts, moving)), -1)]
         if instances is not None:
@@ -261,7 +261,7 @@ class Outlines:
         return [MeshOfBodies(outline.edges, group) for outline, group in parts if outline is not None]
 
     def of_meshes(self, rendering: Rendering) -> list[Outline]:
-        """The edges of all shapes in the world, and of each group in its own frame."""
+        """The edges of all shapes: those outside of groups, then those of each group in its own frame."""
         triangles, counts = rendering.call.still_scene.triangles, rendering.sizes
         instances, firsts = triangles.casting_instances, list(accumulate(rendering.sizes, initial=0))
         starts = [firsts[-1]] if instances is None else list(instances.first_triangle)
@@ -271,7 +271,7 @@ class Outlines:
 
     def in_group(self, triangles: TriangleTable, counts: Sequence[int], moving: Moving, instances: Instances, group: int,
                  generator: torch.Generator) -> MeshShown:
-        """The edges of a group, and the instances that show them."""
+        """The edges of a group's meshes, and the instances that show them."""
         members, everywhere, moves = of_group(instances, counts, moving, group)
         mesh = self.mesh(triangles, counts, members) if everywhere or moves else None
         if mesh is None:
@@ -279,7 +279,7 @@ class Outlines:
         return MeshShown(mesh, *chosen_instances(instances, group, moving, everywhere, len(mesh.crease), generator))
 
     def mesh(self, triangles: TriangleTable, counts: Sequence[int], shapes: tuple[int, ...]) -> Outline | None:
-        """The edges of some shapes, cached while triangles are unchanged; None: there are none."""
+        """The edges of some shapes, cached while their triangles are unchanged; None: there are none."""
         known = self.known.get(shapes)
         tables, reads = (*triangles.corners, triangles.smooth), tuple(
             column is not None for column in (triangles.vertices.n, triangles.vertices.uv))
@@ -309,7 +309,7 @@ KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
 def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> LineNumbers | None:
-    """What lines of each shape follow over their surfaces, attached; None: nothing that moves."""
+    """The `LineNumbers` of the lines on each shape, attached; None: no line moves over its surface."""
     every = distinct(lines)
     numbers = line_numbers(every, call.scene.device) if every else None
     return numbers if every and (lines_move(numbers) or any_differentiated(call.scene.triangles.vertices.uv)) else None
@@ -332,12 +332,12 @@ def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group:
 
 
 def moving_in(rendering: Rendering) -> Moving:
-    """What moves by parameters of the scene, apart from cameras."""
+    """The shapes and instances that move by parameters of the scene; cameras do not count."""
     return Moving(tuple(map(bool, rendering.movers)), rendering.moving_instances)
 
 
 def moving_or_sliding(rendering: Rendering) -> Moving | None:
-    """What moves, or has points that may slide when something moves; None: nothing moves."""
+    """The shapes and instances that move, or whose points may slide when something moves; None: nothing moves."""
     moving = moving_in(rendering)
     if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
         return None
@@ -345,7 +345,7 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
 
 
 def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
-    """Divides an outline where edges lie on other surfaces; `resting`: None: none do."""
+    """Divides the edges of an outline where they lie on other surfaces; `resting`: these parts; None: there are none."""
     found = None if outline is None or resting is None else edges_in_parts(
         geometry_of(scene), outline.edges, outline.instance, resting)
     return outline if found is None else rows(outline._replace(folds=None), found[0])._replace(
@@ -353,17 +353,17 @@ def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | No
 
 
 def outlines_of(scene: Scene) -> Outlines:
-    """The outlines of a scene, shared by all that render it."""
+    """The `Outlines` of a scene, shared by all that render it."""
     return KNOWN.setdefault(scene, Outlines())
 
 
 def _unchanged(table: Tensor | None, known: Tensor | None) -> bool:
-    """True if a table, or its absence, is unchanged; tables are never written into."""
+    """True if a table, or its absence, is unchanged; compared by identity."""
     return table is known if table is None or known is None else same_values(table, known)
 
 
 def joined_outlines(parts: Sequence[Outline]) -> Outline | None:
-    """Joins the edges of several outlines."""
+    """Joins the edges of several outlines into one; None: there are none."""
     if len(parts) < 2:
         return parts[0] if parts else None
     parts = with_shares(parts)

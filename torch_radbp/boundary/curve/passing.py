@@ -33,7 +33,7 @@ MOST_KNOWN = 4  # selections of what moves for which bodies are remembered
 
 
 class CachedIntersections(NamedTuple):
-    """Cached intersections of bodies, with what they depend on."""
+    """The intersections of bodies, cached together with what they depend on."""
 
     key: tuple  # of the bodies
     bodies: Bodies | None  # None: fewer than two
@@ -43,7 +43,7 @@ class CachedIntersections(NamedTuple):
 
 
 class ShownByAll(NamedTuple):
-    """Cached self-intersections of bodies at all instances, with what they depend on."""
+    """The self-intersections of bodies at all instances, cached together with what they depend on."""
 
     key: tuple  # of the bodies
     found: FoundOnce  # at the first instance of each body
@@ -51,7 +51,7 @@ class ShownByAll(NamedTuple):
 
 
 class Passing:
-    """Finds the intersections of bodies with each other and with themselves."""
+    """Finds, and caches, the intersections of bodies with each other and with themselves."""
 
     def __init__(self) -> None:
         self.known: dict[Moving, CachedIntersections] = {}
@@ -60,12 +60,12 @@ class Passing:
 
     def segments(self, rendering: Rendering, moving: Moving, meshes: Sequence[MeshOfBodies],
                  edges_of_shape: Callable[[int], Edges], seed: int) -> list[Segments]:
-        """The segments of intersections of all that moves, in several sets.
+        """The segments along which moving bodies intersect others or themselves, in several sets.
 
         Args:
-            rendering: of which something moves.
-            moving: what does.
-            meshes: of that.
+            rendering: the rendering, in which something moves.
+            moving: the shapes and instances that move.
+            meshes: the edges of these.
             edges_of_shape: the edges of one shape, by its number.
             seed: of the choice of instances and edges where there are too many.
         """
@@ -74,7 +74,7 @@ class Passing:
         return [own for own in found if own is not None]
 
     def of_single(self, rendering: Rendering, moving: Moving, meshes: Sequence[MeshOfBodies], seed: int) -> Segments | None:
-        """The segments of self-intersections; args as for `segments`."""
+        """The segments along which moving bodies intersect themselves; args as for `segments`."""
         scene = rendering.call.still_scene
         may = [crosses and own for crosses, own in zip(rendering.self_crossing, with_groups(rendering, moving))]
         if not meshes or not any(may):
@@ -94,7 +94,7 @@ class Passing:
 
     def of_pairs(self, rendering: Rendering, moving: Moving, edges_of_shape: Callable[[int], Edges],
                  seed: int) -> CachedIntersections:
-        """The intersections and contacts of pairs of bodies; args as for `segments`."""
+        """The intersections and contacts of pairs of bodies of which one moves; args as for `segments`."""
         scene, generator = rendering.call.still_scene, torch.Generator("cpu").manual_seed(seed % (1 << 63))
         instances, key = scene.triangles.instances, key_of(scene, rendering.sizes)
         known = self.known.get(moving)
@@ -117,14 +117,14 @@ class Passing:
 
 
 def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
-    """A key that is equal for scenes with the same triangles and instances, whatever their poses."""
+    """A cache key that is equal for scenes with the same numbers of triangles and instances."""
     casting = scene.triangles.casting_instances
     return scene.device, tuple(counts), None if casting is None else (
         *casting.first_triangle, *casting.first_instance)
 
 
 def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:
-    """Caches what was found for a selection of moving bodies, and drops the oldest entries."""
+    """Caches a result for a selection of moving bodies, and drops the oldest entries."""
     known.pop(moving, None)
     known[moving] = found
     if len(known) > MOST_KNOWN:
@@ -132,14 +132,14 @@ def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:
 
 
 def with_groups(rendering: Rendering, moving: Moving) -> list[bool]:
-    """For each shape, whether it moves, or something in its group does."""
+    """For each shape, whether it moves, or another shape of its group does."""
     groups = [None if instances is None else id(instances[0].shapegroup) for instances in rendering.scene.shown_by]
     moved = {group for group, moves in zip(groups, moving.shapes) if moves and group is not None}
     return [moves or group in moved for group, moves in zip(groups, moving.shapes)]
 
 
 def bodies_of(scene: SceneTensors, counts: Sequence[int], moving: Moving, generator: torch.Generator) -> Bodies | None:
-    """All bodies, and which of them move; None: fewer than two. Args as for `Outlines.of`."""
+    """The triangles of all bodies, and which bodies move; None: fewer than two. Args as for `Outlines.of`."""
     faces = moving_faces(scene, counts, Moving(*((True,) * len(part) for part in moving)), generator)
     if faces is None:
         return None

@@ -33,27 +33,27 @@ MOST_PIERCED = 64  # triangles that are looked for along one edge
 
 
 class BodyEdges(NamedTuple):
-    """The E edges in the world of bodies that may intersect themselves."""
+    """The E edges, in the world, of bodies that may intersect themselves."""
 
     edges: Edges
     instance: Tensor | None  # (E,) int32 instance as in a hit; None: the scene has none
 
 
 class Probes(NamedTuple):
-    """N edges that are selected for a test of self-intersection."""
+    """N edges that are tested for self-intersection."""
 
     edge: Tensor  # (N,) int64, which
     share: float  # probability of an edge's selection
 
 
 def edges_looked_at(call: RenderCall) -> int:
-    """The greatest number of edges that are examined in one rendering."""
+    """The greatest number of edges that one rendering tests for self-intersection."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     return max(FEWEST, min(MOST, paths // SHARE))
 
 
 def probes(count: int, most: int, generator: torch.Generator) -> Probes:
-    """Selects edges, spread evenly; `generator`: picks them if there are more than `most`; on the CPU."""
+    """Selects edges to test, spread evenly; `generator`: selects them if there are more than `most`; on the CPU."""
     if count <= most:
         return Probes(torch.arange(count, device="cpu"), 1.0)
     steps = torch.arange(most, dtype=torch.float64, device="cpu")
@@ -67,8 +67,8 @@ def ray_along_edge(geometry: Geometry, bodies: BodyEdges, chosen: Tensor) -> Ray
 
     Args:
         geometry: of the scene, detached.
-        bodies: their edges.
-        chosen: (N,) int64, which.
+        bodies: the edges.
+        chosen: (N,) int64, indices of edges.
     """
     edges = bodies.edges
     a, b = in_world(geometry, (rows(edges.a, chosen), rows(edges.b, chosen)), rows(bodies.instance, chosen))
@@ -82,11 +82,11 @@ def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bo
 
     Args:
         caster: of the scene.
-        stages: the functions of lanes.
+        stages: runs the stages.
         geometry: of the scene, detached.
-        bodies: their edges.
-        looked_at: some of them.
-        ends: (S,) int64, how many triangles there are up to the end of each shape.
+        bodies: the edges of the bodies.
+        looked_at: the edges among them that are tested.
+        ends: (S,) int64, the end of each shape's triangles among all.
     """
     chosen = looked_at.edge.to(ends.device)
     found = list(pierced(caster, stages(ray_along_edge)(geometry, bodies, chosen)))
@@ -115,7 +115,7 @@ def self_intersections(caster: RayCaster, stages: Stages, geometry: Geometry, bo
 
 
 def once_each(segments: Segments) -> Segments:
-    """Removes duplicates of segments, which both ends or two edges may have found."""
+    """Removes duplicate segments, which are found from both ends or from two edges."""
     low, high = torch.minimum(segments.triangle, segments.through), torch.maximum(segments.triangle, segments.through)
     pairs = torch.stack([low, high, *(() if segments.instance is None else [segments.instance])])
     found, which = torch.unique(pairs, dim=1, return_inverse=True)
@@ -125,7 +125,7 @@ def once_each(segments: Segments) -> Segments:
 
 
 def shape_of(ends: Tensor, triangle: Tensor) -> Tensor:
-    """The shape of each triangle, (N,) int32; `ends`: of `self_intersections`."""
+    """The shape of each triangle, (N,) int32; `ends`: the end of each shape's triangles."""
     return torch.bucketize(triangle, ends.to(triangle.dtype), right=True)
 
 

@@ -48,7 +48,7 @@ SILHOUETTE, CREASE, RIM, NEAR, FAR, TEXTURE, INTERSECTION = range(7)
 
 
 class Glued(NamedTuple):
-    """Points of triangles, fixed at barycentric coordinates, (N,) each."""
+    """Points on triangles at fixed barycentric coordinates, (N,) each."""
 
     prim: Tensor  # int32, as in a hit; -1: unknown
     u: Tensor  # barycentric coordinate of the second vertex
@@ -56,7 +56,7 @@ class Glued(NamedTuple):
 
 
 class Places(NamedTuple):
-    """N samples on discontinuity curves, in one view; float64 where not said otherwise, detached."""
+    """N samples on discontinuity curves of a view; float64 unless said otherwise, detached."""
 
     kind: Tensor  # (N,) int32: SILHOUETTE, CREASE, ...
     between: Between
@@ -79,12 +79,12 @@ class Places(NamedTuple):
     line: Tensor  # (N,) int32, which line of a surface it is, see `term.LineNumbers`; -1: none
 
     def at(self, geometry: Geometry) -> Vec3:
-        """The world positions of the samples, fixed to their triangles; attached, float64."""
+        """The world positions of the samples, as points fixed to their triangles; attached, float64."""
         return interpolated(positions(geometry, self.between, self.instance), self.u, self.v)
 
 
 class Sight(NamedTuple):
-    """A view as functions of lanes read it for boundary terms; detached."""
+    """A view as stages of boundary terms read it: camera, viewpoint, frustum, random numbers and lamps; detached."""
 
     camera: Camera
     eye: Eye
@@ -94,7 +94,7 @@ class Sight(NamedTuple):
 
 
 def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
-    """The `Sight` of a detached view, of a scene with these lamps."""
+    """The `Sight` of a detached view, with lamps as viewpoints."""
     return Sight(view.camera, *known_view(view.camera, view.width, view.height), view.sample_keys[1], lamps)
 
 
@@ -113,7 +113,7 @@ known_view = functools.lru_cache(maxsize=16)(eye_and_frustum)
 
 
 def taken_by(stages: Stages, size: int) -> int:
-    """The bytes that samples take, if they take `size` in plain torch."""
+    """The memory in bytes of samples that take `size` bytes in plain torch; less if stages are compiled."""
     return int(size * (FUSED if stages.is_compiled else 1.0))
 
 
@@ -126,7 +126,7 @@ class PlaceNumbers(NamedTuple):
 
 
 def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
-    """The random numbers of samples, (N,) int32; each kind of curve has its own salt."""
+    """The random numbers of samples `place`, (N,) int32; each kind of curve has its own salt."""
     salted = SampleKey(hash32(sight.seed.seed ^ (SALT + salt)), sight.seed.shared)
     lanes = key_of_places(salted, place)
     along, aperture = fine_unit(random_bits(bounce_key(lanes, CAMERA_COUNTER), ALONG)), None
@@ -137,16 +137,16 @@ def place_numbers(sight: Sight, place: Tensor, salt: int) -> PlaceNumbers:
 
 
 def key_of_places(seed: SampleKey, place: Tensor) -> LaneKey:
-    """The keys of random numbers of samples, (N,) int32: `NEIGHBOURS` in a row share a sequence."""
+    """The random number keys of samples `place`, (N,) int32: `NEIGHBOURS` in a row share a sequence."""
     return lane_key(seed, torch.div(place, NEIGHBOURS, rounding_mode="floor"), place % NEIGHBOURS)
 
 
 def place_counts(lengths: Sequence[float], call: RenderCall, view: View) -> list[int]:
-    """The number of samples for each kind of curve: as many per pixel of length as a pixel has samples, but limited.
+    """The number of samples for each kind of curve: per pixel of length as many as a pixel has, within limits.
 
     Args:
-        lengths: of the curves of each kind on the film, pixels.
-        call: of `view`.
+        lengths: the lengths of the curves of each kind on the film, pixels.
+        call, view: the rendering, and its view.
     """
     wanted = sum(lengths) * call.spp
     share = min(1.0, view.width * view.height * call.spp / (LARGEST_SHARE * wanted)) if wanted else 0.0
@@ -163,21 +163,20 @@ class Lot(NamedTuple):
 
 
 def lot_of(weight: Tensor, count: int, total: Tensor) -> Lot:
-    """The distribution for `count` samples from weights, (W,), and their running sum."""
+    """The `Lot` for `count` samples from weights, (W,), and their running sum `total`."""
     return Lot(weight, total, total[-1] / count, torch.full((), len(weight) - 1, dtype=torch.int64, device=weight.device))
 
 
 def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples one item for each of N samples, in order (stratified).
+    """Samples one item of a discrete distribution for each of N samples, stratified.
 
     Args:
-        lot: what is picked.
-        place: (N,) int32, their numbers.
+        lot: the distribution.
+        place: (N,) int32, the numbers of the samples.
         along: (N,) uniform numbers.
 
     Returns:
-        The row of the thing, int64; a uniform number that is left over; and how many things of that weight a place
-        stands for.
+        The index of the item, int64; the remaining uniform number; and the number of items for which a sample stands.
     """
     target = (place.double() + along) * lot.step
     row = torch.minimum(torch.searchsorted(lot.total, target, right=True), lot.last)
@@ -186,16 +185,16 @@ def picked(lot: Lot, place: Tensor, along: Tensor) -> tuple[Tensor, Tensor, Tens
 
 
 def on_film(camera: Camera, p: Vec3, aperture: Vec2 | None) -> Vec2:
-    """Projects world points to the film, pixels from the upper left corner of the window."""
+    """The film positions of world points, pixels from the upper left corner of the window."""
     film = camera.film
     place = camera.kind.project(camera.lens, p, aperture)
     return Vec2(place.x * film.size_x - film.crop_x, place.y * film.size_y - film.crop_y)
 
 
 def length_in_view(sight: Sight, a: Vec3, b: Vec3) -> Tensor:
-    """The visible lengths of lines from a to b, (N,) world points; float64 pixels, from the centre of the lens.
+    """The lengths in view of lines from a to b, (N,) world points; float64 pixels, seen from the centre of the lens.
 
-    They are those by which lines are picked, and need not be exact.
+    They are sampling weights, and need not be exact.
     """
     camera = sight.camera
     enters, leaves = sight.frustum.clipped(a, b, torch.float32)
@@ -206,7 +205,7 @@ def length_in_view(sight: Sight, a: Vec3, b: Vec3) -> Tensor:
 
 
 def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aperture: Vec2 | None) -> list[Vec2]:
-    """The velocities on the film, pixels, of points that move in given directions; (N,) each."""
+    """The velocities on the film, pixels, of points p that move with given world velocities; (N,) each."""
     def velocity(direction: Vec3, coordinate: int) -> Tensor:
         with torch.enable_grad():
             step = (0.0 * p.x).requires_grad_()
@@ -217,12 +216,12 @@ def velocities_on_film(camera: Camera, p: Vec3, directions: Sequence[Vec3], aper
 
 
 def unknown(like: Tensor) -> Glued:
-    """Unknown points on triangles, one for each entry of a (N,) tensor."""
+    """Points on no triangle (-1), one for each entry of a (N,) tensor."""
     return Glued(torch.full_like(like, -1, dtype=torch.int32), torch.zeros_like(like), torch.zeros_like(like))
 
 
 def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 | None) -> Tensor:
-    """The extent of vertices, (N,) each, from points p along their lines of sight; (N,) world."""
+    """The extent of triangles along lines of sight: from points p to `vertices`, (N,) each; (N,) world."""
     towards = camera.kind.towards(camera.lens, p, aperture)
     away = torch.zeros_like(p.x)
     for vertex in vertices:
@@ -233,16 +232,16 @@ def depth_of(camera: Camera, p: Vec3, vertices: Sequence[Vec3], aperture: Vec2 |
 @stage("sight", "places", "chosen")
 def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lane: Tensor, cones: bool,
                 through_media: bool) -> CameraSample:
-    """Camera rays to samples, then behind, then ahead of the curves: three for each sample.
+    """Camera rays to samples on curves, then to points behind, then ahead of the curves: three for each sample.
 
     Args:
-        sight: of the places.
-        places: of which some are meant.
-        chosen: (K,) int32, which.
+        sight: of the view.
+        places: the samples, of which some are used.
+        chosen: (K,) int32, the indices of the samples to use.
         count: () int32, K.
-        lane: (3 K,) int32, the numbers of the rays.
-        cones: whether rays have cones around them.
-        through_media: whether they pass boundaries, each of which moves them aside a little.
+        lane: (3 K,) int32, the indices of the rays.
+        cones: whether rays have ray cones.
+        through_media: whether rays pass boundaries of media, each of which shifts them slightly.
     """
     camera = sight.camera
     film, dtype = camera.film, camera.dtype
@@ -267,5 +266,5 @@ def rays_beside(sight: Sight, places: Places, chosen: Tensor, count: Tensor, lan
 
 
 def apart_at(p: Vec3, distance: Tensor) -> Tensor:
-    """The offset of points on either side of a curve at `p`, world units; `distance` (N,) from the ray's origin."""
+    """The offset, in world units, of points on either side of a curve at p; `distance`: (N,) from the rays' origins."""
     return torch.maximum(APART * distance, ROUNDED * max_component(p.map(torch.abs)))

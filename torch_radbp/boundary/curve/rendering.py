@@ -36,7 +36,7 @@ MOST_NAMES = 8  # in a message
 
 @dataclass(frozen=True)
 class Rendering:
-    """The scene and the settings of a rendering, for choosing its boundary terms before it starts."""
+    """The scene and settings of a rendering that is about to start, by which its boundary terms are chosen."""
 
     scene: Scene  # with the parameters of this rendering
     call: RenderCall
@@ -50,12 +50,12 @@ class Rendering:
 
     @property
     def has_area(self) -> bool:
-        """True if pixels have an area that edges sweep; False for single rays."""
+        """True if pixels have an area that edges can sweep; False if the camera casts single rays."""
         return all(view.camera.kind.has_area for view, _ in self.looks)
 
     @cached_property
     def sensors(self) -> list[Sensor]:
-        """The sensors, repeated for each viewpoint that they have."""
+        """The sensors of the rendering, repeated for each viewpoint that they have."""
         return [view.sensor for view, _ in self.looks]
 
     @cached_property
@@ -65,15 +65,15 @@ class Rendering:
 
     @cached_property
     def camera_movers(self) -> list[list[str]]:
-        """For each of `sensors`, its differentiated parameters."""
+        """For each of `sensors`, the names of its differentiated parameters."""
         return [self.moving(sensor) for sensor in self.sensors]
 
     def materials(self) -> list[tuple[BSDF, Kind]]:
-        """The materials, one for each side, with their kinds."""
+        """The materials of the scene, one for each side, with their kinds."""
         return list(self.cache.made(MATERIALS).described)
 
     def moving(self, plugin: Plugin, attributes: Sequence[str] | None = None) -> list[str]:
-        """The full names of differentiated attributes of a plugin, among some or all."""
+        """The full names of a plugin's differentiated attributes, among all or given ones."""
         def find() -> list[str]:
             asked = [name for name in (plugin.domains() if attributes is None else attributes)
                      if self.cache.is_live(plugin, name)]
@@ -82,21 +82,21 @@ class Rendering:
         return find() if isinstance(plugin, Sensor) else self.known((plugin, attributes), find)
 
     def known(self, key: Hashable, find: Callable[[], Any]) -> Any:
-        """The result of `find`, cached while the scene (sensors aside) has the same attributes."""
+        """The result of `find`, cached while the scene (without sensors) has the same attribute objects."""
         facts, key = self.cache.facts(self.scene), (Rendering, key, torch.is_grad_enabled())
         if key not in facts:
             facts[key] = find()
         return facts[key]
 
     def turning(self, bsdf: BSDF, kind: Kind) -> list[str]:
-        """The names of a material's differentiated textures on which differentiated directions depend."""
+        """The names of the differentiated textures of a material by which sampled directions turn."""
         slots, textures = turning_values(kind, self.sampling), bsdf.textures()
         return [texture_name(self.scene, textures[slot]) for slot in slots
                 if any(map(asks_for_derivatives, textures[slot].sources()))]
 
     @cached_property
     def names(self) -> dict[int, str]:
-        """The names of all modules of the scene by their ids."""
+        """The scene's names of all its modules, by the modules' ids."""
         return self.known("names", lambda: {id(module): name for name, module in self.scene.named_modules()})
 
     @cached_property
@@ -115,17 +115,17 @@ class Rendering:
         return [len(shape.faces) for shape in self.cache.made(PLACED)]
 
     def placed(self, number: int) -> PlacedShape:
-        """A shape as triangles; in the frame of its group if it is in one."""
+        """The triangles of a shape, by its number; in the frame of its group if it is in one."""
         return self.cache.made(PLACED)[number]
 
     @cached_property
     def shape_of(self) -> Tensor:
-        """The shape of each triangle of the caster, (T,) int64; a hit counts those of a group once."""
+        """The shape of each triangle of the ray caster, (T,) int64; shapes of groups occur once."""
         return torch.repeat_interleave(torch.tensor(self.sizes, device=self.call.caster.faces.device))
 
     @cached_property
     def seen(self) -> ShownTriangles:
-        """The triangles in the world; of groups with many instances those of some."""
+        """The triangles in the world; for groups with many instances those of some instances."""
         sizes, caster, instances = self.sizes, self.call.caster, self.call.scene.triangles.casting_instances
         if instances is None:
             return ShownTriangles(caster.vertices, caster.faces, sizes)
@@ -136,17 +136,17 @@ class Rendering:
 
     @cached_property
     def moving_instances(self) -> tuple[bool, ...]:
-        """For each instance, whether its own pose is differentiated, in the order of hits."""
+        """For each instance, in the order of hits, whether its own pose is differentiated."""
         return tuple(bool(self.moving(instance, MOVE_SHAPES)) for instances in self.scene.groups.values()
                      for instance in instances)
 
     @cached_property
     def movers(self) -> list[list[str]]:
-        """For each shape, the differentiated parameters that move it; its own and those of its instances."""
+        """For each shape, the differentiated parameters that move it, those of its instances included; cached."""
         return self.known("movers", self.found_movers)
 
     def found_movers(self) -> list[list[str]]:
-        """For each shape, the differentiated parameters that move it; computed, for the cached `movers`."""
+        """For each shape, the differentiated parameters that move it; not cached, see `movers`."""
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
@@ -154,14 +154,14 @@ class Rendering:
 
     @cached_property
     def light_movers(self) -> list[list[str]]:
-        """For each element of the light table, the differentiated parameters that move it; none for the surroundings."""
+        """For each element of the light table, the differentiated parameters that move it; empty for the environment."""
         on_surfaces = [self.moving(shape, MOVE_SHAPES) for shape, size in zip(self.shapes, self.sizes)
                        if shape.emitter is not None for _ in range(size)]
         return on_surfaces + [[] if emitter.kind().surround else self.moving(emitter, MOVE_LIGHTS)
                               for emitter in self.emitters if not emitter.kind().on_surface]
 
     def movers_at(self, *triangles: Tensor) -> set[str]:
-        """The differentiated parameters that move any of some triangles, (N,) each; -1: none."""
+        """The differentiated parameters that move any of given triangles, (N,) each; -1: no triangle."""
         number = torch.cat([own[own >= 0] for own in triangles]).unique().long()
         return {name for shape in self.shape_of[number].unique().tolist() for name in self.movers[shape]}
 
@@ -174,7 +174,7 @@ class Rendering:
 
     @cached_property
     def plain(self) -> tuple[bool, ...]:
-        """For each shape, whether points may slide over its triangles; see `vertex.nearby`."""
+        """For each shape, whether points may slide over its triangles (plain materials); see `vertex.nearby`."""
         plain, sizes = self.call.scene.triangles.plain, self.sizes
         if plain is None:
             return (False,) * len(sizes)
@@ -187,7 +187,7 @@ class Rendering:
 
     @cached_property
     def sliders(self) -> list[list[str]]:
-        """For each shape, the differentiated parameters that move only its surface coordinates."""
+        """For each shape, the differentiated parameters that move only its texture coordinates."""
         return [self.moving(shape, ("vertex_texcoords",)) for shape in self.shapes]
 
     @cached_property
@@ -198,9 +198,9 @@ class Rendering:
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
                  max_depth: int, light_paths: str) -> Rendering:
-    """The rendering of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
+    """The `Rendering` of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
 
-    In view counts what is in any window of a film: what is said once is to hold for all.
+    Everything in view of the whole film counts, not only of its window, so that a warning holds for all windows.
     """
     looks = [(view, lens) for view in call.views for lens in view.camera.kind.lookouts(detached(view.camera.lens))]
     primary = primary and all(view.camera.kind.has_area for view in call.views)
@@ -211,7 +211,7 @@ def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache
 
 
 def whole_sight(view: View, lens: Lens) -> CameraSight:
-    """The camera and whole film of a view, through one lens."""
+    """The camera of a view through a given lens, with its whole film."""
     film, whole = view.camera.film, view.sensor.film.window()
     crop_x, crop_y = (film.size_x.new_tensor(float(span.first)) for span in (whole.columns, whole.rows))
     camera = view.camera._replace(lens=lens, film=film._replace(crop_x=crop_x, crop_y=crop_y))
@@ -227,14 +227,14 @@ class ShownTriangles(NamedTuple):
 
 
 def listed(names: Iterable[str]) -> str:
-    """Joins names in running text: `a` and `b`; of many only the first."""
+    """Joins names to running text, as "`a` and `b`"; of many only the first."""
     quoted = [f"`{name}`" for name in dict.fromkeys(names)]
     more = len(quoted) - MOST_NAMES
     return " and ".join(quoted if more <= 0 else [*quoted[:MOST_NAMES], f"{more} other{'s' * (more > 1)}"])
 
 
 def texture_name(scene: Scene, texture: Texture) -> str:
-    """The scene's name of a texture, or of the parameter that it stands for."""
+    """The scene's name of a texture, or of the parameter in whose place it stands."""
     owner, attribute = getattr(texture, "place", (texture, ""))
     return f"{scene.name_of(owner)}.{attribute}".rstrip(".")
 

@@ -44,7 +44,7 @@ IN_PLANE = 1e-6  # share of the largest coordinate up to which viewers lie in a 
 
 
 class SeenFrom(NamedTuple):
-    """The sides from which S segments are visible, float64 but for the last."""
+    """The sides of the triangles from which S segments are visible; float64 but for the last."""
 
     side: Tensor  # of the segment's triangle: 1, -1; 0: both
     side_of_through: Tensor  # of the intersecting triangle, likewise
@@ -52,7 +52,7 @@ class SeenFrom(NamedTuple):
 
 
 class Segments(NamedTuple):
-    """S segments inside of triangles, as functions of lanes read them; barycentric (u, v), float64."""
+    """S straight discontinuity curves inside of triangles, as stages read them; barycentric (u, v), float64."""
 
     triangle: Tensor  # (S,) int32
     instance: Tensor | None  # (S,) int32 instance as in a hit; None: the scene has none
@@ -67,12 +67,12 @@ class Segments(NamedTuple):
     seen_from: SeenFrom | None = None  # None: each from everywhere
 
     def corners(self, geometry: Geometry) -> Corners:
-        """The corners of the segments' triangles, world, float64."""
+        """The corner positions of the segments' triangles, world, float64."""
         return positions(geometry, Between(*lookup(geometry.triangles.corners, self.triangle)), self.instance)
 
 
 def joined_segments(parts: list[Segments]) -> Segments | None:
-    """Joins several sets of segments; None: there are none."""
+    """Joins several sets of segments into one; None: there are none."""
     if len(parts) > 1 and any(part.seen_from is not None for part in parts):
         parts = [part if part.seen_from is not None else part._replace(seen_from=from_everywhere(part)) for part in parts]
     return joined_records(with_shares(parts)) if parts else None
@@ -86,7 +86,7 @@ def from_everywhere(segments: Segments) -> SeenFrom:
 
 @film_term
 class InnerLines(FilmTerm):
-    """Straight curves inside of triangles: lines at which textures jump, and intersections of surfaces."""
+    """The film curves of straight lines inside of triangles: texture lines, and intersections of surfaces."""
 
     rank = 2
     kinds = TEXTURE, INTERSECTION
@@ -104,12 +104,12 @@ class InnerLines(FilmTerm):
 
 @stage("geometry", "sight")
 def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tensor:
-    """The visible lengths of segments, (S,) float64 pixels.
+    """The lengths of segments in view, (S,) float64 pixels.
 
     Args:
         geometry: of the scene, detached.
         sight: of the camera.
-        segments: (S,).
+        segments: (S,) the segments.
     """
     corners = segments.corners(geometry)
     length = length_in_view(sight, *(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end)))
@@ -120,12 +120,12 @@ def segment_weight(geometry: Geometry, sight: Sight, segments: Segments) -> Tens
 
 @stage("geometry", "sight", "segments", "lot")
 def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot, place: Tensor) -> Places:
-    """Samples segments in proportion to their lengths on the film.
+    """Samples points on segments in proportion to their lengths on the film.
 
     Args:
         geometry, sight, segments: as for `segment_weight`.
-        lot: of the segments.
-        place: (N,) int32, numbers of the places.
+        lot: the distribution of samples over the segments.
+        place: (N,) int32, the numbers of the samples.
     """
     camera, numbers = sight.camera, place_numbers(sight, place, TEXTURE)
     aperture = numbers.aperture
@@ -163,13 +163,13 @@ def segment_place(geometry: Geometry, sight: Sight, segments: Segments, lot: Lot
 
 
 def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towards: Callable[[Vec3], Vec3]) -> Tensor:
-    """(N,) bool: segments on sides that face the viewer; not from within a plane, up to rounding.
+    """(N,) bool: segments on triangle sides that face the viewer; False if the viewer lies in the plane, up to rounding.
 
     Args:
         geometry: of the scene, detached.
-        segments: (N,).
-        corners: of their triangles.
-        towards: gives the directions from (N,) points to the viewer, of any length.
+        segments: (N,) the segments.
+        corners: the corners of their triangles.
+        towards: returns the directions from (N,) points to the viewer, of any length.
     """
     seen = None
     planes = corners, place_of(geometry, segments.through, segments.shown_by)
@@ -182,27 +182,27 @@ def faces_viewer(geometry: Geometry, segments: Segments, corners: Corners, towar
 
 
 def place_of(geometry: Geometry, triangle: Tensor, instance: Tensor | None) -> Corners:
-    """The corners of triangles, (N,) int32, in the world, attached; of any triangle for -1."""
+    """The corner positions of triangles, (N,) int32, in the world, attached; those of any triangle for -1."""
     return positions(geometry, Between(*lookup(geometry.triangles.corners, triangle.clamp_min(0))), instance)
 
 
 def height_above(corners: Corners, p: Vec3) -> Tensor:
-    """The height of points above the planes of triangles, in units of twice their areas; (N,) attached."""
+    """The heights of points above the planes of triangles, times twice the triangles' areas; (N,) attached."""
     return dot(cross(corners[1] - corners[0], corners[2] - corners[0]), p - corners[0])
 
 
 def heights_by(passed: Corners, corners: Corners) -> Vec2:
-    """The derivatives, by u and v on triangles, of the height above intersecting triangles; (N,)."""
+    """The derivatives, by u and v on triangles, of the height above the planes of intersecting triangles; (N,)."""
     upright = cross(passed[1] - passed[0], passed[2] - passed[0])
     return Vec2(*(dot(upright, corner - corners[0]) for corner in corners[1:]))
 
 
 def level_on_lines(geometry: Geometry, between: Between, u: Tensor, v: Tensor, line: Tensor) -> Tensor:
-    """The number that is an integer on lines of textures, up to a constant, (N,) attached.
+    """The value that is an integer on texture lines, up to a constant, (N,) attached: the level function of these lines.
 
     Args:
-        between: the vertices of triangles, on which (u, v), barycentric, is meant.
-        line: (N,) int32, which lines.
+        between: the vertices of triangles, on which u and v are barycentric coordinates.
+        line: (N,) int32, rows of `LineNumbers`.
     """
     x = y = None
     if geometry.triangles.vertices.uv is not None:
@@ -213,12 +213,12 @@ def level_on_lines(geometry: Geometry, between: Between, u: Tensor, v: Tensor, l
 
 
 def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
-    """The motion of lines along their normals on the film per unit of their level; (N,).
+    """The motion of lines along their normals on the film per unit of their level function; (N,).
 
     Args:
-        rise: what the levels change by with the coordinates u and v.
-        pace: how fast a place is seen to move with these.
-        normal: of the lines, (N,) of any length, by which the result is as long.
+        rise: the derivatives of the level by the coordinates u and v.
+        pace: the derivatives of film positions by u and v.
+        normal: of the lines, (N,) of any length, by which the result is scaled.
     """
     by_u, by_v = rise
     of_u, of_v = pace
@@ -230,7 +230,7 @@ def drift_of(rise: Vec2, pace: list[Vec2], normal: Vec2) -> Tensor:
 def zero_crossings(f0: Tensor, f1: Tensor, f2: Tensor) -> tuple[Vec2, Vec2]:
     """The two points on the sides of triangles where a linear function, given at the corners, vanishes; barycentric.
 
-    They are one if it is 0 in a corner alone, or nowhere.
+    The two coincide if the function is 0 at one corner only, or nowhere.
     """
     at_1, at_2 = (f0 > 0.0) == (f2 > 0.0), (f0 > 0.0) == (f1 > 0.0)  # the corner that is alone on its side
     at_2 = at_2 & ~at_1

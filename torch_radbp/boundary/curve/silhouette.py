@@ -16,7 +16,7 @@ MARGIN = 1e-4  # left out at the border of the image, as a share of its size: a 
 
 
 class CameraSight(NamedTuple):
-    """The camera and film of one sensor."""
+    """The camera and film size of one sensor."""
 
     camera: Camera  # detached
     width: int  # of its crop window, pixels
@@ -24,7 +24,7 @@ class CameraSight(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """A viewpoint, () float64 each: homogeneous, a position, or with w = 0 the direction towards it."""
+    """A viewpoint, () float64 each: a position in homogeneous coordinates, or with w = 0 the direction towards it."""
 
     place: Vec3
     w: Tensor
@@ -37,16 +37,16 @@ class Eye(NamedTuple):
         return Eye(Vec3(x, y, z), w, radius)
 
     def towards(self, p: Vec3) -> Vec3:
-        """Vectors from the viewpoint to (N,) points, of any length."""
+        """Vectors from the viewpoint to (N,) points p, of any length."""
         return p * self.w - self.place
 
 
 def is_silhouette(a: Vec3, b: Vec3, opposite: Sequence[Vec3], towards: Vec3, radius: Tensor | None = None) -> Tensor:
-    """(N,) bool: all triangles at an edge lie on one side of it as seen from a viewpoint, or may do so from nearby.
+    """(N,) bool: edges that are silhouettes from a viewpoint, or within `radius` of it.
 
-    That is so for the single triangle at the rim of a surface, and for two triangles of which one is seen from the front
-    and the other from behind. The orientation of triangles does not matter: two neighbours in a plane always lie on
-    different sides of their common edge. Of the edges of a triangle that is seen edge-on only the nearer ones count.
+    All triangles at such an edge lie on one side of it as seen from there: the single triangle at the rim of a surface, or
+    two of which one is seen from the front and the other from behind. The orientation of triangles does not matter: two
+    neighbours in a plane lie on different sides. Of a triangle that is seen edge-on only the nearer edges count.
 
     Args:
         a, b: (N,) the ends, float64.
@@ -71,7 +71,7 @@ def is_silhouette(a: Vec3, b: Vec3, opposite: Sequence[Vec3], towards: Vec3, rad
 
 
 def crosses_view(a: Vec3, b: Vec3, sight: CameraSight) -> Tensor:
-    """(N,) bool: part of a segment is in the camera's view.
+    """(N,) bool: segments of which a part is in the camera's view.
 
     Args:
         a, b: (N,) the ends, float64, world space.
@@ -83,5 +83,5 @@ def crosses_view(a: Vec3, b: Vec3, sight: CameraSight) -> Tensor:
 
 
 def limits(crop: Tensor, size: Tensor, pixels: int) -> Tensor:
-    """The borders of a window on the image, enlarged by a margin; (2,) float64."""
+    """The borders of a film window on the image, enlarged by a margin, as shares of the image; (2,) float64."""
     return torch.stack([(crop + share * pixels) / size for share in (MARGIN, 1.0 - MARGIN)]).double()

@@ -29,14 +29,14 @@ MOST_STILL = 1 << 17  # edges of what stays as it is, up to which all are looked
 
 
 class MeshOfBodies(NamedTuple):
-    """The edges of some shapes of the world, or of all of a group."""
+    """The edges of some shapes outside of groups, or of all shapes of a group."""
 
     edges: Edges
     group: int  # its index; -1: of the world
 
 
 class FoundOnce(NamedTuple):
-    """Cached self-intersections of bodies, with what they depend on."""
+    """The self-intersections of bodies, cached together with what they depend on."""
 
     vertices: tuple[Tensor, ...]  # vertex positions, those of groups in their own frames
     seed: int | None  # seed by which edges were selected; None: all were examined
@@ -44,7 +44,7 @@ class FoundOnce(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """The bodies that are tested for self-intersection, with the last result."""
+    """The bodies that are tested for self-intersection, with the last result, if any."""
 
     meshes: tuple[MeshOfBodies, ...]
     may: list[bool]  # for each shape, whether it may belong to a self-intersecting body
@@ -52,19 +52,19 @@ class Looked(NamedTuple):
     found: FoundOnce | None  # None: not examined yet
 
     def is_of(self, meshes: Sequence[MeshOfBodies], may: list[bool]) -> bool:
-        """True if these meshes, whose edges are never written into, were examined."""
+        """True if exactly these meshes were tested; compared by identity."""
         return may == self.may and len(meshes) == len(self.meshes) and all(
             one.edges.a is other.edges.a and one.group == other.group for one, other in zip(meshes, self.meshes))
 
 
 def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[MeshOfBodies], may: list[bool]) -> BodyEdges:
-    """The edges of all bodies that may intersect themselves, groups at their first instances.
+    """The edges of all bodies that may intersect themselves, each group once, at its first instance.
 
     Args:
         scene: detached.
         counts: the number of triangles of each shape, those of groups last.
-        meshes: of what moves.
-        may: see `Looked`.
+        meshes: the edges of what moves.
+        may: for each shape, whether it may belong to such a body.
     """
     instances, parts, shown_by = scene.triangles.casting_instances, [], []
     crosses, ends = torch.tensor(may, device=scene.device), shape_ends(scene, counts)
@@ -77,12 +77,12 @@ def bodies_once(scene: SceneTensors, counts: Sequence[int], meshes: Sequence[Mes
 
 
 def shape_ends(scene: SceneTensors, counts: Sequence[int]) -> Tensor:
-    """(S,) int64, the end of each shape's triangles."""
+    """(S,) int64, for each shape the end of its triangles among all."""
     return torch.tensor(list(accumulate(counts)), device=scene.device)
 
 
 def first_shown(scene: SceneTensors, group: int) -> int:
-    """The first instance of a group, as in a hit."""
+    """The number of a group's first instance, as in a hit."""
     return scene.triangles.casting_instances.first_instance[group] + 1
 
 
@@ -90,11 +90,11 @@ def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int],
     """Finds self-intersections of bodies, cached while vertices and seed are unchanged.
 
     Args:
-        call: of which something moves.
-        scene: its, detached.
+        call: the rendering, in which something moves.
+        scene: of the call, detached.
         counts: as for `bodies_once`.
-        known: what is looked at.
-        seed: by which edges are chosen where there are too many.
+        known: the bodies, and the last result.
+        seed: of the choice of edges, if there are too many.
     """
     count, vertices = len(known.bodies.edges.a), tuple(scene.triangles.vertices.p)
     most = edges_looked_at(call) if any_differentiated(call.scene.triangles.vertices.p) else MOST_STILL
@@ -109,13 +109,13 @@ def self_crossings(call: RenderCall, scene: SceneTensors, counts: Sequence[int],
 
 def shown_by_all(segments: Segments | None, scene: SceneTensors, counts: Sequence[int], moving: Moving,
                  seed: int) -> Segments | None:
-    """Copies segments at the first instance of each group to all moving instances.
+    """Copies of segments, given at the first instance of each group, at all moving instances.
 
     Args:
-        segments: None: there are none.
+        segments: at first instances; None: there are none.
         scene, counts: as for `bodies_once`.
-        moving: what does.
-        seed: of the choice of instances where there are too many.
+        moving: the shapes and instances that move.
+        seed: of the choice of instances, if there are too many.
     """
     instances = scene.triangles.casting_instances
     if segments is None or instances is None:

@@ -27,64 +27,64 @@ Term = TypeVar("Term", bound="type[LinesTerm]")
 
 
 class LinesTerm(ABC):
-    """Lines on surfaces at which what these send out jumps: where x u + y v + z of the surface coordinates is an integer.
+    """The interface of a kind of lines on surfaces at which emission or reflectance is discontinuous.
 
     Attributes:
-        what: the lines, as a warning names them.
+        what: the lines, as a warning names them. They lie where x u + y v + z is an integer, u and v surface coordinates.
     """
 
     what: ClassVar[str]
 
     @abstractmethod
     def slide(self, call: RenderCall) -> bool:
-        """True if a parameter with derivatives moves lines over their surface."""
+        """True if a differentiated parameter moves lines over their surface."""
 
     @abstractmethod
     def lines(self, rendering: Rendering) -> list[tuple[JumpLines, ...]]:
-        """The lines of each shape, attached where they move over it."""
+        """The lines on each shape, attached where they move over it."""
 
     @abstractmethod
     def sliding(self, rendering: Rendering) -> list[list[str]]:
-        """For each shape the names of the parameters with derivatives that move lines over it."""
+        """For each shape, the names of the differentiated parameters that move lines over it."""
 
 
 TERMS: list[LinesTerm] = []  # in the order in which they are asked
 
 
 def boundary_term(term: Term) -> Term:
-    """Registers a term."""
+    """Registers a lines term; a class decorator."""
     TERMS.append(term())
     return term
 
 
 def lines_slide(call: RenderCall) -> bool:
-    """True if lines of any term move over their surface."""
+    """True if lines of any term move over their surface by a differentiated parameter."""
     return any(term.slide(call) for term in TERMS)
 
 
 def lines_on_shapes(rendering: Rendering, terms: list[LinesTerm] | None = None) -> list[tuple[JumpLines, ...]]:
-    """The lines of each shape, by all terms or some."""
+    """The lines on each shape, of all terms or of given ones."""
     found = [term.lines(rendering) for term in (TERMS if terms is None else terms)]
     return [tuple(dict.fromkeys(lines for own in parts for lines in own)) for parts in zip(*found)]
 
 
 def names_sliding(rendering: Rendering) -> list[list[str]]:
-    """For each shape the names of the parameters that move lines of any term over it."""
+    """For each shape, the names of the differentiated parameters that move lines of any term over it."""
     return [[name for own in parts for name in own] for parts in zip(*(term.sliding(rendering) for term in TERMS))]
 
 
 class LineNumbers(NamedTuple):
-    """What the number that is an integer on lines is made of, (R,) float64 each; attached."""
+    """The coefficients of R line families x u + y v + z = integer on surfaces, (R,) float64 each; attached."""
 
     x: Tensor
     y: Tensor
     z: Tensor
 
     def level(self, row: Tensor, u: Tensor | None, v: Tensor | None) -> Tensor:
-        """The number at surface coordinates, (N,); where these are None only what moves of it counts.
+        """The values x u + y v + z at surface coordinates, (N,); where u and v are None, z alone.
 
         Args:
-            row: (N,) int32, which lines.
+            row: (N,) int32, indices of line families.
             u, v: (N,) float64.
         """
         z = lookup(self.z, row)
@@ -92,13 +92,13 @@ class LineNumbers(NamedTuple):
 
 
 def line_numbers(lines: list[JumpLines], device: torch.device) -> LineNumbers:
-    """The numbers of some lines."""
+    """The `LineNumbers` of some lines."""
     x, y = (torch.tensor(column, dtype=torch.float64, device=device) for column in list(zip(*lines))[:2])
     return LineNumbers(x, y, offsets(lines, device))
 
 
 def offsets(lines: list[JumpLines], device: torch.device) -> Tensor:
-    """z of some lines, (R,) float64, attached."""
+    """The coefficient z of some lines, (R,) float64, attached."""
     moving = any(line.moving is not None for line in lines)
     z = torch.tensor([line.z for line in lines], dtype=torch.float64, device=device)
     if not moving:
@@ -107,5 +107,5 @@ def offsets(lines: list[JumpLines], device: torch.device) -> Tensor:
 
 
 def lines_move(numbers: LineNumbers | None) -> bool:
-    """True if lines have derivatives of their own."""
+    """True if lines have derivatives of their own, apart from those of texture coordinates."""
     return numbers is not None and differentiated(numbers.z)

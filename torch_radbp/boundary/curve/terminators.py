@@ -26,9 +26,7 @@ MOST_LAMPS = 8  # that are told apart; of more, light may end at every edge
 
 
 def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
-    """The lamps of a scene as viewpoints; none if nothing is smoothly shaded.
-
-    Lamps on surfaces are balls around all of one kind.
+    """The lamps of a scene as viewpoints, area lights as bounding spheres of all of one kind; empty without smooth shading.
 
     Args:
         call: detached.
@@ -47,7 +45,7 @@ def lamps_of(call: RenderCall) -> tuple[Eye, ...]:
 
 
 def _around(table: EmittingTriangles) -> Eye:
-    """A ball around emitting triangles, as an `Eye` (viewpoint)."""
+    """The viewpoint in the middle of emitting triangles, with the radius of a sphere around them."""
     corners = torch.cat([corner.stack() for corner in table.p]).double()
     low, high = corners.amin(0), corners.amax(0)
     middle = 0.5 * (low + high)
@@ -55,7 +53,7 @@ def _around(table: EmittingTriangles) -> Eye:
 
 
 def light_may_end(lamps: Sequence[Eye], a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> Tensor:
-    """(N,) bool: edges that may lie between a triangle facing a lamp and one that does not.
+    """(N,) bool: edges that may lie between a triangle that faces a lamp and one that faces away.
 
     Args:
         lamps: of the scene.

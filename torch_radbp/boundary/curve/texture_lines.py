@@ -28,7 +28,7 @@ ON_EDGE = 1e-6  # of the rise of a triangle, below which a line runs along one o
 
 @boundary_term
 class TextureLines(LinesTerm):
-    """Lines at which textures of a shape's material, or of its light, jump."""
+    """The lines on surfaces at which a shape's material or emission textures are discontinuous."""
 
     what = "lines at which textures jump"
 
@@ -48,13 +48,13 @@ class TextureLines(LinesTerm):
 
 def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
                      lines: Sequence[tuple[JumpLines, ...]]) -> Segments | None:
-    """The segments of texture lines on triangles; None: there are none.
+    """The segments of texture lines on triangles, in the world; None: there are none.
 
     Args:
         scene: detached.
-        faces: that are looked at.
+        faces: the triangles.
         sizes: the number of triangles of each shape.
-        lines: of each shape.
+        lines: the lines on each shape.
     """
     triangles = scene.triangles
     if triangles.vertices.uv is None or not any(lines):
@@ -73,23 +73,23 @@ def texture_segments(scene: SceneTensors, faces: Faces, sizes: Sequence[int],
 
 
 def distinct(lines: Sequence[tuple[JumpLines, ...]]) -> list[JumpLines]:
-    """All lines of some shapes, each once."""
+    """All lines on some shapes, each once."""
     return list(dict.fromkeys(line for own in lines for line in own))
 
 
 def _across(lines: JumpLines, uv: Vec2) -> Tensor:
-    """The number that is an integer on a texture's lines, (N,) float64."""
+    """The value x u + y v + z that is an integer on a texture's lines, (N,) float64."""
     return lines.x * uv.x.double() + lines.y * uv.y.double() + lines.z
 
 
 def segments_along(faces: Faces, level: tuple[Tensor, Tensor, Tensor], lines: JumpLines, row: int = 0) -> Segments:
-    """The segments inside of triangles at which a level is an integer.
+    """The segments inside of triangles on which a function, linear on each, is an integer.
 
     Args:
-        faces: (F,).
-        level: (F,) at each corner.
+        faces: (F,) the triangles.
+        level: (F,) the function at each corner.
         lines: which integers count.
-        row: of the lines, among all.
+        row: the index of the lines among all.
     """
     level = Vec3(*level)
     low, high = torch.minimum(torch.minimum(*level[:2]), level.z), torch.maximum(torch.maximum(*level[:2]), level.z)

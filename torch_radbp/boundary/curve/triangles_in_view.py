@@ -14,12 +14,12 @@ from torch_radbp.tensors.vec import Vec3
 
 
 def may_see(view: View, scene: SceneTensors, some: Tensor) -> bool:
-    """False if all of some triangles lie outside of what a camera sees, behind one and the same plane each.
+    """False if each of some triangles lies outside of the camera's view, behind one and the same plane of its frustum.
 
     Args:
-        view: of the camera.
+        view: the view of the camera.
         scene: detached, without instances.
-        some: (T,) bool, the triangles.
+        some: (T,) bool, True for the triangles.
     """
     rows = tuple(corner[some] for corner in scene.triangles.corners)
     corners = tuple(Vec3(*(part.double() for part in corner)) for corner in at_corners(scene.triangles.vertices.p, rows))
@@ -28,12 +28,12 @@ def may_see(view: View, scene: SceneTensors, some: Tensor) -> bool:
 
 
 def is_quick(scene: SceneTensors, paths: int) -> bool:
-    """True if `may_see` takes less time than to trace so many paths, and all surfaces that scatter are triangles of it."""
+    """True if `may_see` is quicker than tracing `paths` paths, and the scene has no instances or invisible surfaces."""
     triangles, appearances = scene.triangles, scene.layout.appearances
     invisible = any(appearance.kind.invisible for appearance in appearances)
     return triangles.instances is None and len(triangles.material) <= paths and not invisible
 
 
 def may_see_ideal_surfaces(view: View, scene: SceneTensors, paths: int) -> bool:
-    """False if no ideal mirror or glass is in view; True if that is not quickly told. Args: see above."""
+    """False if no ideal mirror or glass is in view; True if that takes long to tell. Args as of the other functions."""
     return not is_quick(scene, paths) or may_see(view, scene, narrow_triangles(scene))

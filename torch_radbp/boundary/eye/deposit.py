@@ -26,7 +26,7 @@ from torch_radbp.tensors.vec import Vec2, rows
 
 
 class Deposit(NamedTuple):
-    """K jumps of an image, and the motion of the curves along which these lie."""
+    """Jumps of an image at K points, and the motion of the curves that these lie on."""
 
     place: Vec2  # (K,) pixels from the upper left corner of the window, float64, detached
     strength: Sequence[Tensor]  # (K,) float64 for each channel: gain per unit of motion, detached
@@ -34,7 +34,7 @@ class Deposit(NamedTuple):
 
 
 def image_of(call: RenderCall, number: int, deposits: Sequence[Deposit], channels: int = 3) -> Tensor:
-    """(C, H, W) zeros, attached: the sum of deposits in the pixels of view `number`."""
+    """(C, H, W) zeros whose derivative is that of deposits, splatted to the pixels of view `number`."""
     view = call.views[number]
     camera, shape, moved = detached(view.camera), (channels, view.height, view.width), [own.moved for own in deposits]
     if not deposits or call.adjoint.taped or has_tangents(moved):
@@ -43,7 +43,7 @@ def image_of(call: RenderCall, number: int, deposits: Sequence[Deposit], channel
 
 
 def recorded(camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int]) -> Tensor:
-    """The image of deposits as torch records it, in either mode; args as of `DepositFunction`."""
+    """The image of deposits as recorded by torch, in either mode of differentiation; args as of `DepositFunction`."""
     image = torch.zeros(shape, dtype=torch.float64, device=camera.film.size_x.device).flatten(1)
     for place, strength, moved in deposits:
         gain = moving_with(moved, torch.stack(tuple(strength)))
@@ -53,7 +53,7 @@ def recorded(camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int,
 
 
 class DepositFunction(torch.autograd.Function):
-    """A zero image with the derivative of deposits, as a function of their motions."""
+    """A zero image with the derivative of deposits, as an `autograd.Function` of their motions."""
 
     @staticmethod
     def forward(ctx, stages: Stages, camera: Camera, deposits: Sequence[Deposit], shape: tuple[int, int, int],
@@ -67,17 +67,17 @@ class DepositFunction(torch.autograd.Function):
     @public_call
     def backward(ctx, grad_image: Tensor):
         pixels = tuple(channel.contiguous() for channel in grad_image.flatten(1))
-        asked = [ctx.stages(asked_of_places)(ctx.camera, pixels, *own[:2]) for own in ctx.deposits]
+        asked = [ctx.stages(adjoint_of_motion)(ctx.camera, pixels, *own[:2]) for own in ctx.deposits]
         return None, None, None, None, *asked
 
 
 @stage("camera", "pixels")
-def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], place: Vec2, strength: Sequence[Tensor]) -> Tensor:
-    """The loss's derivatives by the motion at places, (K,) float64.
+def adjoint_of_motion(camera: Camera, pixels: tuple[Tensor, ...], place: Vec2, strength: Sequence[Tensor]) -> Tensor:
+    """The derivatives of the loss by the motion of deposits, (K,) float64.
 
     Args:
         camera: detached.
-        pixels: (H * W,) of each channel of the image, the derivative of the loss by it, row-major.
+        pixels: (H * W,) for each channel, the derivative of the loss by the image, row-major.
         place, strength: as of `Deposit`.
     """
     total = torch.zeros_like(strength[0])
@@ -88,9 +88,9 @@ def asked_of_places(camera: Camera, pixels: tuple[Tensor, ...], place: Vec2, str
 
 
 class MotionFunction(torch.autograd.Function):
-    """How far K places have moved: zeros, whose derivatives by the scene's tensors a function computes when asked.
+    """The motion of K points: zeros, whose derivatives by the scene's tensors are computed by a given function.
 
-    The graph keeps that function and none of the intermediate results of where the places lie.
+    The autograd graph keeps that function, and no intermediate results of the points' positions.
     """
 
     @staticmethod
@@ -107,17 +107,17 @@ class MotionFunction(torch.autograd.Function):
 
 
 def attached_geometry(scene: SceneTensors) -> Geometry:
-    """The geometry of an attached scene, prepared for sums of many gradients."""
+    """The `Geometry` of an attached scene, in which gradients of many reads are summed."""
     geometry = geometry_of(scene)
     return geometry if has_tangents(geometry) else summed(geometry)
 
 
 def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
-    """(K,) zeros, attached: the areas that pieces of curves sweep.
+    """(K,) zeros, attached: the areas that pieces of curves sweep when they move.
 
     Args:
-        seen: (K,) where they are, attached.
-        normal: (K,) across them, as long as the pieces.
+        seen: (K,) positions of the pieces, attached.
+        normal: (K,) normals, as long as the pieces.
     """
     before, normal = moving_with(seen, (seen.map(primal), normal))
     return (seen.x - before.x) * normal.x + (seen.y - before.y) * normal.y

@@ -36,7 +36,7 @@ SMOOTH = 0.2  # BEND times that angle below which points of one smooth surface a
 
 
 class Difference(NamedTuple):
-    """The first difference between the two camera paths of N pairs."""
+    """The first difference between the two camera paths of each of N pairs."""
 
     kind: Tensor  # (N,) int32
     depth: Tensor  # (N,) int32, number of ideal vertices before; of a horizon its surface counts
@@ -45,20 +45,20 @@ class Difference(NamedTuple):
 
 
 class Pairing(NamedTuple):
-    """N pairs of camera paths, by index."""
+    """N pairs of camera paths, by their indices."""
 
     first: Tensor  # (N,) int64, rows of paths
     second: Tensor
 
 
 def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing) -> Difference:
-    """The first vertex at which the paths of pairs differ, and how.
+    """The first vertex at which the two paths of each pair differ, and in what.
 
     Args:
-        stages: of the call.
+        stages: runs the stages.
         surfaces: of the scene, prepared for the stages.
         path: the paths.
-        pairs: of them.
+        pairs: pairs of these.
     """
     depths = tuple([number_of(depth, pairs.first.device) for depth in range(len(path))])
     if not isinstance(surfaces, PreparedArgument) or not len(pairs.first) or inside_dual_level():
@@ -73,7 +73,7 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """`path_difference` vertex by vertex; `depths`: the numbers of the vertices as tensors."""
+    """`path_difference`, computed vertex by vertex; `depths`: the numbers of the vertices as tensors."""
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
@@ -86,7 +86,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """The difference between the paths of each pair before any of their vertices are compared: none yet."""
+    """The initial `Difference` of pairs: none yet."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))
@@ -94,13 +94,13 @@ def unparted(pairs: Pairing) -> Difference:
 
 @stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
-    """Compares pairs of paths at one more vertex.
+    """The `Difference` of pairs of paths after one more vertex is compared.
 
     Args:
         surfaces: of the scene.
-        vertices: of the paths, after `number`, () int32, ideal ones.
+        vertices: those of the paths after `number`, () int32, ideal vertices.
         pairs: of the paths.
-        so_far: what is known from vertices before.
+        so_far: the differences at vertices before.
     """
     first, second = (lookup(vertices.place, own) for own in pairs)
     both = so_far.alike & (first >= 0) & (second >= 0)  # where only one of two goes on they have parted before
@@ -131,7 +131,7 @@ def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Diffe
 
 
 def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
-    """(N,) bool: two rays hit the same triangle, neighbours on a smooth surface, or both nothing."""
+    """(N,) bool: two rays hit the same triangle, or neighbours on a smooth surface, or both hit nothing."""
     same, there = one.hit.prim == other.hit.prim, one.hit.prim.clamp_min(0)
     near = torch.zeros_like(same)
     for side in range(3):
@@ -141,13 +141,14 @@ def _meet_same_surface(surfaces: Surfaces, one: Reached, other: Reached) -> Tens
 
 
 def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
-    """(N,) bool: two rays hit the same smooth surface, if they hit the same instance."""
+    """(N,) bool: two rays hit the same smooth surface, provided that they hit the same instance."""
     parts = [lookup(surfaces.smooth.part, met.hit.prim.clamp_min(0)) for met in (one, other)]
     return parts[0] == parts[1]
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """(N,) bool: neighbouring rays surely hit different surfaces; (N,) float64: BEND times the sine of the bend between."""
+    """Whether neighbouring rays surely hit different surfaces; and BEND times the sine of the surface's bend between;
+    (N,)."""
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)

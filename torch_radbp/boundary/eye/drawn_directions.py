@@ -37,7 +37,7 @@ SALT = 0x6A09E667  # tells the numbers that pick lobes from others
 
 
 class DirectionNumbers(NamedTuple):
-    """The random numbers of a BSDF sample, (N,)."""
+    """The random numbers of a BSDF direction sample, (N,)."""
 
     choice: Tensor  # of the lobe
     u: Tensor
@@ -45,7 +45,7 @@ class DirectionNumbers(NamedTuple):
 
 
 class Drawn(NamedTuple):
-    """Given directions as BSDF samples of path vertices, (N,); detached."""
+    """Given directions as samples of path vertices' BSDFs, with the random numbers that yield them, (N,); detached."""
 
     numbers: DirectionNumbers
     share: Tensor  # density of the lobe divided by that of all lobes; 0: the chosen lobe has no such direction
@@ -55,7 +55,7 @@ class Drawn(NamedTuple):
 
 
 class Scatterers(NamedTuple):
-    """The vertices with one kind of material, and their surfaces."""
+    """The vertices whose material is of one kind, and their surface points."""
 
     lanes: Tensor  # (M,) int64
     material: Material
@@ -63,13 +63,13 @@ class Scatterers(NamedTuple):
 
 
 def scatterers_met(integrand: Integrand, state: PathState, hit: Hit, settings: Settings) -> Iterator[Scatterers]:
-    """Yields the surfaces that rays hit, by kind of material; attached as the integrand's scene and the rays are.
+    """Yields the surface points that rays hit, by kind of material; attached as the scene and the rays are.
 
     Args:
-        integrand: of eager stages.
-        state: (N,) of the rays.
-        hit: what they meet.
-        settings: how surfaces follow their rays.
+        integrand: with eager stages.
+        state: (N,) path states with the rays.
+        hit: what the rays hit.
+        settings: whether surface points slide with the rays.
     """
     front, order, queues = queued(integrand, state.ray, hit, False)
     arrival = Arrival(state, hit, front)
@@ -84,13 +84,13 @@ def scatterers_met(integrand: Integrand, state: PathState, hit: Hit, settings: S
 
 
 def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
-    """Inverts the BSDF sampling of path vertices at given directions.
+    """Inverts BSDF sampling: the random numbers with which path vertices sample given directions.
 
     Args:
-        integrand: detached, of eager stages.
-        state: (N,) of the rays that meet the vertices.
-        hit: these.
-        d: (N,) unit, away from them.
+        integrand: detached, with eager stages.
+        state: (N,) path states with the rays that hit the vertices.
+        hit: the vertices.
+        d: (N,) unit directions away from them.
     """
     like, key = state.pdf, bounce_key(state.key, SALT)
     choice = uniform(key, BSDF_CHOICE, like.dtype)
@@ -113,7 +113,7 @@ def drawn(integrand: Integrand, state: PathState, hit: Hit, d: Vec3) -> Drawn:
 
 
 class Try(NamedTuple):
-    """An iterate of Newton's method: sampled direction and its error, (N,) each."""
+    """An iterate of Newton's method: the sampled direction and its error, (N,) each."""
 
     u: Tensor
     v: Tensor
@@ -123,13 +123,13 @@ class Try(NamedTuple):
 
 
 def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) -> tuple[DirectionNumbers, Tensor]:
-    """Inverts the sampling of the lobe that `choice` selects: random numbers, and solid-angle densities.
+    """The random numbers u and v with which the lobe that `choice` selects yields directions, and the lobe's densities.
 
-    The densities are 0 where the lobe has no such direction, or does not scatter by chance.
+    The solid-angle densities are 0 where the lobe has no such direction, or is a delta lobe.
 
     Args:
         material, wi: (N,), detached.
-        wo: (N,) unit, local, the directions.
+        wo: (N,) unit, local, the directions to be sampled.
         choice: (N,) in [0, 1).
     """
     fine = Material(material.kind, tuple(value.map(torch.Tensor.double) for value in material.values))
@@ -158,14 +158,14 @@ def inverted_sampling(material: Material, wi: Vec3, wo: Vec3, choice: Tensor) ->
 
 
 def drawn_direction(material: Material, wi: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> tuple[Vec3, Tensor]:
-    """(N,) local directions sampled from random numbers, attached to `u` and `v`; and whether by a delta lobe."""
+    """(N,) local directions that are sampled from random numbers, attached to `u` and `v`; and whether by a delta lobe."""
     kind, values = material.kind, material.values
     lobe = kind.choose(values, wi, choice, u.detach(), v.detach())
     return kind.sample(values, wi, lobe, u, v), lobe.is_delta(kind)
 
 
 def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: Tensor) -> Try:
-    """Evaluates a Newton iterate at `u` and `v`; args as for `inverted_sampling`."""
+    """The Newton iterate at random numbers `u` and `v`; other args as for `inverted_sampling`."""
     axes, slopes = Frame.of(wo), []
     for axis in (axes.s, axes.t):
         with torch.enable_grad():
@@ -184,13 +184,13 @@ def tried(material: Material, wi: Vec3, wo: Vec3, choice: Tensor, u: Tensor, v: 
 
 
 def directions_drawn(integrand: Integrand, state: PathState, hit: Hit, numbers: DirectionNumbers) -> Vec3:
-    """(N,) unit world directions that path vertices sample from random numbers, attached.
+    """(N,) unit world directions that path vertices sample from given random numbers, attached.
 
     Args:
-        integrand: attached, of eager stages.
-        state: (N,) of the rays that meet the vertices, attached.
-        hit: these.
-        numbers: of each.
+        integrand: attached, with eager stages.
+        state: (N,) path states with the rays that hit the vertices, attached.
+        hit: the vertices.
+        numbers: the random numbers.
     """
     found = [torch.zeros_like(part) for part in state.ray.d]
     for lanes, material, si in scatterers_met(integrand, state, hit, integrand.settings):

@@ -43,7 +43,7 @@ STRAIGHT = 0.5 * torch.pi
 
 
 class EdgeNodes(NamedTuple):
-    """M nodes of the tree; detached, in the scene's dtype, world."""
+    """M nodes of the edge tree with bounds of the edges below; detached, in the scene's dtype, world."""
 
     low: Vec3  # (M,) the corners of the box
     high: Vec3
@@ -58,14 +58,14 @@ class EdgeNodes(NamedTuple):
 
 
 class EdgeTree(NamedTuple):
-    """A tree over the edges of an outline."""
+    """A tree over edges, by which viewpoints sample silhouettes."""
 
     levels: tuple[EdgeNodes, ...]  # levels that a descent visits, below the root; the last has L nodes
     slots: Tensor  # (GROUP L,) int32, edges below the last L nodes; -1: none
 
 
 class Descent(NamedTuple):
-    """The state of N descents of the tree; (N,)."""
+    """The state of N descents of the edge tree; (N,)."""
 
     eye: Tensor  # int32, viewpoint that samples an edge
     node: Tensor  # int32, node in its level
@@ -80,7 +80,7 @@ def edge_tree(stages: Stages, geometry: Geometry, outline: Outline) -> EdgeTree:
 
 
 def tree_over(stages: Stages, bounds: EdgeNodes, slots: Tensor) -> EdgeTree:
-    """Builds the tree over items with bounds, (S,), one for each slot."""
+    """Builds the tree over items with given bounds, (S,), one for each slot."""
     last, levels = len(slots) // GROUP, []
     for count in level_sizes(last):
         below, size = (levels[-1], len(levels[-1].bend)) if levels else (bounds, len(slots))
@@ -98,19 +98,19 @@ def level_sizes(last: int) -> list[int]:
 
 
 def numbers_to(count: int, like: Tensor) -> Tensor:
-    """The int32 tensor 0, 1, ..., (count,)."""
+    """The int32 tensor 0, 1, ..., count - 1."""
     return torch.arange(count, dtype=torch.int32, device=like.device)
 
 
 @stage("geometry", "outline", "slots")
 def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The bounds of leaf nodes of the tree, one edge each.
+    """The bounds of single edges, (N,), the leaves of the tree.
 
     Args:
         geometry: of the scene, detached.
         outline: the edges.
-        slots: of `EdgeTree`.
-        slot: (N,) int32, which.
+        slots: the order of edges, as `EdgeTree.slots`.
+        slot: (N,) int32, indices of slots.
     """
     edge = lookup(slots, slot)
     exists = edge >= 0
@@ -133,7 +133,7 @@ def edge_bounds(geometry: Geometry, outline: Outline, slots: Tensor, slot: Tenso
 
 
 def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
-    """The bounding boxes of segments from a to b, (N,) each; empty where they do not exist, (N,) bool."""
+    """The bounding boxes of segments from a to b, (N,) each; empty boxes where `exists`, (N,) bool, is False."""
     none = torch.full_like(a.x, torch.inf)
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(a, b))) for extreme in (torch.minimum, torch.maximum))
     wider = ROUNDED * torch.maximum(max_component(a.map(torch.abs)), max_component(b.map(torch.abs)))
@@ -142,7 +142,7 @@ def box_around(a: Vec3, b: Vec3, exists: Tensor) -> tuple[Vec3, Vec3]:
 
 
 def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> Vec3:
-    """Normals of the triangles of corners, (N,) int32, by the order of their vertices; of any length."""
+    """The normals of the triangles to which corners, (N,) int32, belong, by the order of their vertices; of any length."""
     triangle = torch.div(corner, 3, rounding_mode="floor")
     p = positions(geometry, Between(*lookup(geometry.triangles.corners, triangle)), instance)
     return cross(p[1] - p[0], p[2] - p[0])
@@ -150,7 +150,7 @@ def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> V
 
 @stage("below")
 def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
-    """The bounds of nodes, (N,) int32, each over `count` children, a power of 2, from those of the level `below`."""
+    """The bounds of nodes, (N,) int32, each over `count`, a power of 2, nodes of the level `below`."""
     nodes = [rows(below, node * count + place) for place in range(count)]
     while len(nodes) > 1:
         nodes = [merged(*pair) for pair in zip(nodes[::2], nodes[1::2])]
@@ -158,7 +158,7 @@ def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
 
 
 def merged(one: EdgeNodes, other: EdgeNodes) -> EdgeNodes:
-    """The bounds of two nodes together."""
+    """The bounds of each two nodes together."""
     low, high = (Vec3(*(extreme(p, q) for p, q in zip(*parts))) for extreme, parts in (
         (torch.minimum, (one.low, other.low)), (torch.maximum, (one.high, other.high))))
     both = (one.bend > 0.0) & (other.bend > 0.0)
@@ -176,7 +176,7 @@ def merged(one: EdgeNodes, other: EdgeNodes) -> EdgeNodes:
 
 
 def slab_along(axis: Vec3, node: EdgeNodes) -> tuple[Tensor, Tensor]:
-    """The least and greatest coordinate of nodes' edges along another axis, (N,) each."""
+    """The least and the greatest coordinate of nodes' edges along another axis, (N,) each."""
     middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
     straight, across, at = dot(axis, node.axis), cross(axis, node.axis), dot(axis, middle)
     # Both the slab of the node and its box hold what lies off the middle.
@@ -189,7 +189,7 @@ def slab_along(axis: Vec3, node: EdgeNodes) -> tuple[Tensor, Tensor]:
 def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
     """The importance of nodes for a viewpoint: about the angle that silhouettes subtend, times their weight; (N,).
 
-    It is 0 only where none is a silhouette, or counts. All have the dtype of nodes.
+    It is 0 only if no edge below is a silhouette of positive weight. All args have the dtype of nodes.
     """
     middle, half = (node.low + node.high) * 0.5, (node.high - node.low) * 0.5
     reach = middle * eye.w - eye.place
@@ -223,20 +223,20 @@ def angle_of_node(node: EdgeNodes, eye: Eyes, extent: Tensor) -> Tensor:
 
 
 def rounded(record, dtype: torch.dtype):
-    """Converts viewpoints, or another record, to the dtype of nodes."""
+    """Converts a record, such as viewpoints, to the dtype of nodes."""
     return with_leaves(record, [leaf.to(dtype) for leaf in leaves_of(record)])
 
 
 @stage("nodes", "eyes")
 def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: int) -> Descent:
-    """Descends several levels at once, sampling one of all nodes there by importance.
+    """Descends several levels of the tree at once, sampling one of all nodes there by importance.
 
     Args:
-        nodes: of the level that they reach.
-        eyes: look for edges; in the dtype of the nodes.
-        extent: () of the scene, likewise.
-        at: (N,) where they are.
-        count: how many nodes there are below each of that level.
+        nodes: of the level that is reached.
+        eyes: the viewpoints, in the dtype of the nodes.
+        extent: () of the scene, in the same dtype.
+        at: (N,) the descents so far.
+        count: the number of nodes of that level below each present one.
     """
     eye, first = rows(eyes, at.eye), at.node * count
     angles = [angle_of_node(rows(nodes, first + place), eye, extent).double() for place in range(count)]
@@ -245,7 +245,7 @@ def descended(nodes: EdgeNodes, eyes: Eyes, extent: Tensor, at: Descent, count: 
 
 
 def picked_by_weight(weights: Sequence[Tensor], u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Samples one of several weights, (N,) each: number, (N,) int32, probability, and remaining random number."""
+    """Samples one item by weights, (N,) each: its number, (N,) int32, its probability, and the remaining random number."""
     total = weights[0]
     for weight in weights[1:]:
         total = total + weight

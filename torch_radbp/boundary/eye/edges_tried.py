@@ -36,21 +36,21 @@ SALT = 0x3C9A5B71  # tells the random numbers of the first from others
 
 
 def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
-    """The number of viewpoints from which each edge is tested, by the cost of tree descents; 0: too few viewpoints."""
+    """The number of viewpoints from which each edge is tested, for the cost of tree descents; 0: too few to do so."""
     count = len(eyes.w)
     each = min(count, looks * GROUP * count // len(outline.crease))
     return each if each >= min(FEWEST, count) else 0
 
 
 class EyesOfEdge(NamedTuple):
-    """How many viewpoints try an edge; () int32 each."""
+    """The number of viewpoints that test an edge; () int32 each."""
 
     each: Tensor  # successive ones
     count: Tensor  # of all
 
 
 class Tried(NamedTuple):
-    """Tests whether edges are silhouettes from viewpoints; N tests."""
+    """Tests of edges from viewpoints: whether they are silhouettes there; N tests."""
 
     eye: Tensor  # (N,) int32, viewpoint
     angle: Tensor  # (N,) float64, angle that the edge subtends; 0: no silhouette
@@ -58,12 +58,12 @@ class Tried(NamedTuple):
 
 def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey, each: int,
                 extent: Tensor) -> tuple[PickedEdges, Tensor]:
-    """Finds silhouettes among all edges, and their viewpoints, (K,) int32.
+    """Finds silhouettes by testing all edges from light samples: the edges, and their viewpoints, (K,) int32.
 
     Args:
         stages, geometry, eyes, seed: as for `seen_edges.places_seen`.
         outline: the edges.
-        each: from how many eyes, which follow each other, an edge is tried in the mean.
+        each: the mean number of viewpoints, successive ones, that test an edge.
         extent: () of the scene.
     """
     def found_from(edges: Tensor, each: int, seed: SampleKey) -> tuple[PickedEdges, Tensor]:
@@ -87,7 +87,7 @@ def edges_tried(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes
 
 
 def close_to(geometry: Geometry, outline: Outline, found: Tensor) -> Tensor:
-    """(E,) bool: edges that touch one of those in `found`, (K,) int32."""
+    """(E,) bool: edges that share a vertex with one of those in `found`, (K,) int32."""
     touched = torch.zeros(len(geometry.triangles.vertices.p.x), dtype=torch.bool, device=found.device)
     for end in outline.edges[:2]:
         touched[rows(end, found).long()] = True
@@ -101,11 +101,11 @@ def edge_tried(geometry: Geometry, outline: Outline, eyes: Eyes, edges: Tensor, 
 
     Args:
         geometry, outline, extent: as for `seen_edges.angle_seen`.
-        eyes: that may look.
-        edges: (K,) int32, the edges that are tried.
+        eyes: the viewpoints.
+        edges: (K,) int32, the edges that are tested.
         seed: of random numbers.
-        pairing: how many eyes try an edge.
-        lane: (N,) int32, so many times the place of the edge among these, plus that of the eye among these.
+        pairing: the number of viewpoints that test an edge.
+        lane: (N,) int32, that number times the index into `edges`, plus the number of the viewpoint among those of the edge.
     """
     each, count = pairing
     place = torch.div(lane, each, rounding_mode="floor")

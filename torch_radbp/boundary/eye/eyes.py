@@ -15,7 +15,7 @@ MOST_DENSE = 1e6  # per steradian, of a lobe; beyond are points on a light or in
 
 
 class Lobe(NamedTuple):
-    """Directions that count more for a viewpoint, as of light or of a glossy lobe; (M,)."""
+    """Directions to which a viewpoint gives more weight, as those of light or of a glossy lobe; (M,)."""
 
     d: Vec3  # unit, centre
     narrow: Tensor  # weight over squared angular radius; 0: no lobe
@@ -33,12 +33,12 @@ class Eyes(NamedTuple):
 
 
 def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tensor | float = 0.0) -> Tensor:
-    """A bound of the weights of directions within a cone, for sampling edges; (N,).
+    """An upper bound of the sampling weights of edges in a cone of directions from viewpoints; (N,).
 
     Args:
-        eye: (N,).
-        d: (N,) unit.
-        cosine, sine: of the angle up to which others lie off these.
+        eye: (N,) the viewpoints.
+        d: (N,) unit, the axes of the cones.
+        cosine, sine: of the cones' half angles.
     """
     faced = dot(eye.n, d).clamp(-1.0, 1.0)
     across = torch.sqrt(1.0 - faced * faced)
@@ -49,19 +49,19 @@ def how_much_counts(eye: Eyes, d: Vec3, cosine: Tensor | float = 1.0, sine: Tens
 
 
 def lobe_around(d: Vec3, density: Tensor) -> Lobe:
-    """The lobe around directions of given solid-angle density, (N,); none above `MOST_DENSE`, or for 0."""
+    """The lobe around directions d of given solid-angle densities, (N,); none if the density is 0 or above `MOST_DENSE`."""
     narrow = torch.where(density < MOST_DENSE, torch.pi * density, 0.0)
     return Lobe(d.map(torch.Tensor.double), narrow.double().clamp(0.0, NARROWEST))
 
 
 def how_much_lobes_count(eye: Eyes, d: Vec3, squared: Tensor) -> Tensor:
-    """The mean factor by which a viewpoint's lobes raise the weight of a cone of directions, (N,).
+    """The mean factor by which viewpoints' lobes raise the weights of cones of directions, (N,).
 
-    Every lobe counts half as much as all other directions.
+    The weight of a lobe is half that of all other directions.
 
     Args:
-        eye: (N,).
-        d: (N,) unit.
+        eye: (N,) the viewpoints.
+        d: (N,) unit, the axes of the cones.
         squared: (N,) squares of the angular radii of the cones.
     """
     counts = torch.ones_like(squared)

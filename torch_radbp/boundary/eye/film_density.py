@@ -25,12 +25,12 @@ OF_TILE = 16  # places on edges in a tile, in the mean
 
 
 def film_density(view: View, points: Viewpoints, passed: Passed) -> Tensor:
-    """The relative density of paths over the cells of a view, (cells,) float64, of mean 1.
+    """The relative density of paths over the cells of a film, (cells,) float64, of mean 1.
 
     Args:
-        view: whose film it is.
-        points: vertices of paths that are spread evenly.
-        passed: places on edges that they see, all of which stand for the same angle.
+        view: the view of the film.
+        points: vertices of paths that start evenly over the film.
+        passed: samples on edges that they see, each of which stands for the same angle.
     """
     columns, rows = view.grid.columns, view.grid.rows
     eye = passed.eye.long()

@@ -30,14 +30,14 @@ GRAZING = 1e-3  # sine of the angle between surface and light up to which the la
 
 
 class Vertices(NamedTuple):
-    """The vertices of N paths after the same number of ideal ones."""
+    """One vertex of each of N paths, after the same number of ideal vertices."""
 
     place: Tensor  # (N,) int32, index of the path among the M that come so far; -1: it ends before
     met: Reached
 
 
 class LightLooks(NamedTuple):
-    """N light samples for which shadow borders are searched."""
+    """N light samples, and whether their shadow borders are searched."""
 
     draw: LightDraw
     wanted: Tensor  # (N,) bool: borders of its shadow are looked for
@@ -48,26 +48,26 @@ IdealPath = tuple[Vertices, ...]  # vertex by vertex, from what the camera sees 
 
 
 def only_ideal(integrand: Integrand) -> Integrand:
-    """The integrand that follows ideal vertices: without light sampling and Russian roulette."""
+    """The integrand that follows ideal vertices only: without light sampling and Russian roulette."""
     return integrand._replace(settings=integrand.settings._replace(nee=False), rr_depth=NO_ROULETTE,
                               max_depth=min(integrand.max_depth, MOST_VERTICES))
 
 
 def ideal_at_first(integrand: Integrand) -> Integrand:
-    """The integrand of which ideal lobes alone count where the camera sees materials that have others, too.
+    """The integrand in which only ideal lobes count at first vertices, if materials have other lobes, too.
 
-    What is seen by way of a coat jumps; what its base scatters does not, and paths that choose it would bring nothing.
+    What is reflected by a coat is discontinuous; what its base scatters is not, and paths that sample it would be wasted.
     """
     coated = any(look.kind.delta and look.kind.smooth for look in integrand.scene.layout.appearances)
     return integrand._replace(settings=integrand.settings._replace(ideal=coated))
 
 
 def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> IdealPath:
-    """Follows paths until they hit something that does not scatter ideally, or nothing; at most to the last bounce.
+    """Follows paths to the first vertex that does not scatter ideally, to a miss, or to the last bounce.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.
-        start: (N,) of the paths, lanes in order.
+        start: (N,) the initial path states, lanes in order.
         surfaces: of the scene, prepared for the stages.
     """
     found, onward = [], Onward(start, None)
@@ -85,7 +85,7 @@ def ideal_path(integrand: Integrand, start: PathState, surfaces: Surfaces) -> Id
 
 
 def some_paths(path: IdealPath, chosen: Tensor) -> IdealPath:
-    """Selects paths, (M,) int64, in this order; trimmed to the longest of them."""
+    """Selects paths by index, (M,) int64, in this order; cut to the length of the longest."""
     found = []
     for place, met in path:
         own = place[chosen]
@@ -113,12 +113,12 @@ def extended(path: IdealPath, more: IdealPath) -> IdealPath:
 
 
 def begins(path: IdealPath) -> Tensor:
-    """(N,) bool: the camera sees an ideal surface."""
+    """(N,) bool: paths whose first hit is an ideal surface."""
     return (path[0].met.what & ONWARDS) > 0
 
 
 def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
-    """The hits of selected paths, (K,), after given numbers of vertices, (K,) int64."""
+    """The hits of selected paths, (K,), each after a given number of vertices, (K,) int64."""
     parts, order = [], []
     for number, (place, met) in enumerate(path):
         own = (depth == number).nonzero().squeeze(1)
@@ -130,8 +130,7 @@ def along(path: IdealPath, chosen: Tensor, depth: Tensor) -> Reached:
 
 
 def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> IdealPath:
-    """The paths with `LIT` set where they meet, after an ideal vertex, a point that scatters light back which has come by a
-    free shadow ray; coats may let paths go on from there."""
+    """The paths, with `LIT` set at vertices after an ideal one at which an unoccluded light sample is scattered back."""
     found = list(path)
     for number, (place, met) in enumerate(path[1:integrand.max_depth - 1], 1):
         lane = (place >= 0).nonzero().squeeze(1)  # in the order of `met`
@@ -148,7 +147,7 @@ def with_light(integrand: Integrand, path: IdealPath, looks: LightLooks) -> Idea
 
 
 def kinds_met(integrand: Integrand, met: Reached) -> tuple[Tensor, Tensor]:
-    """(M,) bool: hits of surfaces that scatter not only ideally, and of those that let light through."""
+    """(M,) bool: hits of surfaces with a lobe that is not ideal; and (M,) bool: hits of surfaces that transmit light."""
     layout, (number, _) = integrand.proposal.layout, appearances_met(integrand, met.ray, met.hit)
     others = [False] * (len(layout.scattering_media) + 1)
     flags = ([look.kind.smooth for look in layout.appearances], [look.kind.transmits for look in layout.appearances])
@@ -156,7 +155,7 @@ def kinds_met(integrand: Integrand, met: Reached) -> tuple[Tensor, Tensor]:
 
 
 class LightWay(NamedTuple):
-    """The ways from N hits to light samples; detached."""
+    """The shadow rays from N hits to light samples; detached."""
 
     ray: Ray  # of the shadow
     length: Tensor
@@ -165,13 +164,13 @@ class LightWay(NamedTuple):
 
 
 def to_light(integrand: Integrand, met: Reached, draw: LightDraw) -> LightWay:
-    """The ways from hits to light samples, (N,); `integrand`: of a detached scene."""
+    """The shadow rays from hits to light samples, (N,); `integrand`: with a detached scene."""
     return integrand.part(Ends.SURROUNDINGS).call(way_to_light, met.ray, met.hit, draw)
 
 
 @stage("scene")
 def way_to_light(scene: SceneTensors, ray: Ray, hit: Hit, draw: LightDraw) -> LightWay:
-    """See `to_light`. What comes almost along a surface does not count: if a lamp lights itself is a matter of rounding.
+    """The shadow rays from hits to light samples; light at grazing angles does not count, where rounding would decide.
 
     Args:
         scene: any part of it, detached.

@@ -44,7 +44,7 @@ FRONT, ONWARDS, THROUGH, OUTSIDE, LIT = (1 << bit for bit in range(5))
 
 
 class Reached(NamedTuple):
-    """Hits of paths after the same number of ideal vertices, (M,); detached."""
+    """The hits of paths after the same number of ideal vertices, (M,); detached."""
 
     ray: Ray
     beta: Vec3  # throughput of the ideal vertices before
@@ -55,14 +55,14 @@ class Reached(NamedTuple):
 
 
 class Ideal(NamedTuple):
-    """The appearances of a scene that scatter ideally."""
+    """The appearances of a scene with an ideal lobe (mirrors, glass)."""
 
     numbers: tuple[int, ...]
     queue_of: Tensor  # (A + M + 1,) int32: for each event its index among these; others have their number
 
 
 def ideal_of(integrand: Integrand) -> Ideal:
-    """Finds the appearances that scatter ideally."""
+    """Finds the appearances of a scene with an ideal lobe."""
     layout = integrand.proposal.layout
     numbers = tuple(number for number, appearance in enumerate(layout.appearances) if appearance.kind.delta)
     events = len(layout.appearances) + len(layout.scattering_media) + 1
@@ -75,17 +75,17 @@ IdealStep = Callable[[Onward, int], tuple[Tensor, Reached, Onward | None]]
 
 def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: Onward,
                depth: int) -> tuple[Tensor, Reached, Onward | None]:
-    """Traces one vertex of every path: hits, and the paths that an ideal mirror or glass scatters on.
+    """Traces one vertex of every path: the hits, and the paths that ideal mirrors or glass scatter on.
 
     Args:
         integrand: from `only_ideal`, of a detached scene.
         surfaces: of the scene, prepared for the stages.
-        ideal: of the integrand.
-        onward: the paths that take it.
+        ideal: the ideal appearances of the scene.
+        onward: the paths.
         depth: of the vertex.
 
     Returns:
-        The lanes of the paths, what they meet, and those that go on; None: none does.
+        The lanes of the paths, their hits, and the paths that go on; None: none does.
     """
     state, stages = onward.packed(integrand), integrand.stages
     hit = first_hit(integrand, state.ray, depth)
@@ -101,7 +101,7 @@ def ideal_step(integrand: Integrand, surfaces: Surfaces, ideal: Ideal, onward: O
 
 def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit: Hit,
                       depth: int) -> tuple[Tensor, Vertex | None]:
-    """The lanes that hit ideal surfaces, (M,) int32, and their vertices; None if there are none."""
+    """The lanes that hit surfaces with an ideal lobe, (M,) int32, and their vertices; None if there are none."""
     number, front = appearances_met(integrand, state.ray, hit)
     order, counts = partition(integrand.stages(rows)(ideal.queue_of, number), len(ideal.numbers) + 1)
     queues, first = [], 0
@@ -119,7 +119,7 @@ def ideally_scattered(integrand: Integrand, ideal: Ideal, state: PathState, hit:
 
 @stage()
 def no_direction(d: Vec3) -> Vec3:
-    """(N,) zero vectors, to write directions into."""
+    """(N,) zero vectors, into which directions are written."""
     return d * 0.0
 
 
@@ -131,13 +131,13 @@ def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
 
 @stage("surfaces")
 def ideal_vertex(surfaces: Surfaces, ray: Ray, beta: Vec3, cone: Cone | None, hit: Hit, onwards: Vec3) -> Reached:
-    """The record of hits, (N,).
+    """The hits of rays with flags of side and ideal scattering, and the texture cells hit, as a `Reached` record, (N,).
 
     Args:
         surfaces: of the scene.
         ray, beta, cone: of the paths, as of `Reached`.
-        hit: what they meet.
-        onwards: ideal directions in which they go on; 0: in none.
+        hit: what the rays hit.
+        onwards: directions into which they are ideally scattered; 0: none.
     """
     n = triangle_normal(surfaces, hit)
     shading = shading_normal(surfaces, hit, n)
@@ -152,7 +152,7 @@ def ideal_vertex(surfaces: Surfaces, ray: Ray, beta: Vec3, cone: Cone | None, hi
 
 def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal, tape: Tape, onward: Onward,
                  depth: int) -> tuple[Tensor, Reached, Onward | None]:
-    """Takes one step by machine code, or by `ideal_step` where that is not possible."""
+    """Takes one step of ideal paths by recorded machine code, or by `ideal_step` where that is not possible."""
     def step(onward: Onward, at: Position) -> Played:
         return Played(ideal_step(integrand, surfaces, ideal, onward, depth))
 
@@ -166,7 +166,7 @@ def steps_played(integrand: Integrand, surfaces: PreparedArgument, ideal: Ideal,
 
 @contextmanager
 def steps_taken(integrand: Integrand, surfaces: Surfaces | PreparedArgument, start: PathState) -> Iterator[IdealStep]:
-    """A function that takes one step after the other, by machine code or `ideal_step`. Args as for `ideal_path`."""
+    """Yields a function that takes one step of ideal paths, by machine code if possible. Args as for `ideal_path`."""
     ideal = ideal_of(integrand)
     if not recordable(integrand):
         yield partial(ideal_step, integrand, surfaces, ideal)

@@ -28,36 +28,37 @@ MOST = 0.5  # all at most, where coordinates are large and rays lie farther off
 
 
 class Sent(NamedTuple):
-    """Rays to K samples, behind and ahead of the curve, concatenated, and their hits; (3 K,)."""
+    """Rays to K samples on curves, to points behind and to points ahead of them, concatenated, with their hits; (3 K,)."""
 
     sample: CameraSample
     hit: Hit
     flight: Flight | None = None  # through media up to there; see `Arrival`
 
     def of(self, way: int, count: Tensor, lane: Tensor) -> tuple[Ray, Hit]:
-        """The rays to the samples (0), behind (1) or ahead (2) of the curve; of `count` samples those in `lane`."""
+        """The rays to samples (`way` 0), behind (1) or ahead (2) of curves, with hits; of `count` samples those in
+        `lane`."""
         return rows((self.sample.ray, self.hit), lane + count * way)
 
 
 @stage("geometry", "places", "sent")
 def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, count: Tensor, lane: Tensor,
              kinds: tuple[int, ...]) -> Tensor:
-    """(K,) float64, 1 for samples that nothing hides, 0 for hidden ones; -1 for pieces that run back.
+    """(K,) float64 weights of samples on curves: 1 if visible, 0 if hidden, -1 on pieces that run back.
 
-    A ray to a place on a curve meets a triangle there, or passes by. Where an outline turns back and forth within less than
-    rounding, it does not tell which of the pieces it meets, of which only one has a jump. Pieces that run back are known by
-    their surface, which lies on the other side. They count as -1, so that one remains. Where coordinates are so large that
-    rays miss places by more than `USUAL`, it does not tell triangles apart either, and what rays on either side meet counts.
-    What hides a place that lies just inside of another body is known by the plane of the triangle that a ray meets.
+    A ray to a sample hits a triangle there, or passes by. Where an outline turns back and forth within rounding, the ray
+    does not tell which piece it hits, of which only one has a jump. Pieces that run back have their surface on the other
+    side; they count as -1, so that the sum is one. Where coordinates are so large that rays miss samples by more than
+    `USUAL`, rays do not tell triangles apart either, and the hits on either side decide. What hides a sample just inside of
+    another body is known by the plane of the triangle that the ray hits.
 
     Args:
         geometry: of the scene, detached.
-        places: of which some are meant.
-        chosen: (K,) int32, which.
-        sent: to these.
+        places: the samples, of which some are used.
+        chosen: (K,) int32, the indices of the samples to use.
+        sent: the rays to these.
         count: () int32, K.
-        lane: (K,) int32, 0, 1, ...
-        kinds: of curves, of which some may be among them.
+        lane: (K,) int32, 0, 1, ..., K - 1.
+        kinds: the kinds of curves that may be among the samples.
     """
     places = rows(places, chosen)
     rays, hits = zip(*(sent.of(way, count, lane) for way in range(3)))
@@ -94,15 +95,14 @@ def in_sight(geometry: Geometry, places: Places, chosen: Tensor, sent: Sent, cou
 
 @stage("scene", "places")
 def on_boundary(scene: SceneTensors, places: Places, chosen: Tensor) -> Tensor:
-    """(K,) bool: samples on invisible boundaries of media, or where a surface meets one: light goes on there without a jump,
-    but by other random numbers. Args as for `in_sight`; `scene`: any part of it, detached.
-    """
+    """(K,) bool: samples at invisible boundaries of media, where light does not jump, but paths have other random numbers.
+    Args as for `in_sight`; `scene`: any part of it, detached."""
     places = rows(places, chosen)
     return is_boundary(scene, places.behind.prim) | is_boundary(scene, places.ahead.prim)
 
 
 class PathsBeside(NamedTuple):
-    """Camera paths that start beside curves: the K behind them, then the K ahead of them; (2 K,)."""
+    """Camera paths that start beside curves: K behind them, then K ahead of them; (2 K,)."""
 
     sample: CameraSample
     hit: Hit
@@ -112,18 +112,18 @@ class PathsBeside(NamedTuple):
 @stage("places", "chosen", "sent", "times", "shown")
 def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, shown: Tensor, counts: tuple[Tensor, Tensor],
                  lane: Tensor) -> PathsBeside:
-    """The paths that start behind and ahead of visible samples.
+    """The camera paths that start right behind and right ahead of visible samples.
 
-    A ray beside a curve may meet another curve, or the surface may end there, which is counted there. So where it is known
-    what surface the curve is on, the path begins at the place itself. Then it has come there through media as the first of
-    the three rays that met that surface.
+    A ray beside a curve may hit another curve, or pass a surface that ends there, which is counted elsewhere. So where the
+    surface of the curve is known, the path begins at the sample itself; its flight through media is that of the first of
+    the three rays that hit that surface.
 
     Args:
         places, chosen, sent: as for `in_sight`; (M,) chosen.
-        times: (M,) what that says of them.
-        shown: (K,) int32, which of them are in sight.
+        times: (M,) the weights from `in_sight`.
+        shown: (K,) int32, the indices of those of nonzero weight.
         counts: () int32 each, M and K.
-        lane: (2 K,) int32, 0, 1, ...
+        lane: (2 K,) int32, 0, 1, ..., 2 K - 1.
     """
     sent_to, count = counts
     is_ahead = lane >= count
@@ -147,13 +147,13 @@ def paths_beside(places: Places, chosen: Tensor, sent: Sent, times: Tensor, show
 
 
 def came_by(places: Places, sent: Sent, known: Tensor, rays: tuple[Tensor, ...]) -> Tensor:
-    """(N,) int32, the rays by whose flights paths come to places: the first that meets a triangle there, where paths begin
-    at the place itself, else the first of all.
+    """(N,) int32, the ray whose flight through media each path takes: where it begins at the sample itself, the first ray
+    that hit a triangle of the sample, else the first of all.
 
     Args:
-        places: (N,).
-        known: (N,) bool: paths begin there.
-        rays: (N,) int32 each, of those in `sent`.
+        places: (N,) the samples.
+        known: (N,) bool: paths begin at the samples themselves.
+        rays: (N,) int32 each, indices of rays in `sent`.
     """
     found = rays[0]
     for ray in reversed(rays):
@@ -162,21 +162,21 @@ def came_by(places: Places, sent: Sent, known: Tensor, rays: tuple[Tensor, ...])
 
 
 def _goes_on(kind: Tensor) -> Tensor:
-    """True for kinds of curves on both sides of which a surface nearby is seen."""
+    """True for kinds of curves on both sides of which the same or a touching surface is seen."""
     return (kind == CREASE) | (kind >= TEXTURE)
 
 
 def missed(places: Places, distance: Tensor) -> Tensor:
-    """(N,) the distance of rays from samples, in units of the usual error; `distance` (N,) of the samples."""
+    """(N,) the distance by which rays may miss samples, in units of the usual error; `distance` (N,) of the samples."""
     return apart_at(places.p, distance) / (USUAL * distance.clamp_min(TINY))
 
 
 def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) -> Tensor:
-    """(N,) bool: rim samples that nothing hides.
+    """(N,) bool: samples on rims that are visible.
 
     Args:
-        own: of the rays to them, behind and ahead of them, whether they meet the triangle of the rim.
-        hit, distance: of the ray to them, and how far they are.
+        own: for the rays to them, behind and ahead of them, whether they hit the triangle of the rim.
+        hit, distance: of the ray to them, and their distance.
     """
     inside = torch.minimum(torch.minimum(places.u, places.v), 1.0 - places.u - places.v) > ALONG_EDGE
     nearby, clear = own[1] | own[2], past(hit, distance * (1.0 - SAME))
@@ -184,20 +184,20 @@ def rim_in_sight(places: Places, own: list[Tensor], hit: Hit, distance: Tensor) 
 
 
 def is_one_of(places: Places, hit: Hit) -> Tensor:
-    """(N,) bool: rays that hit one of the triangles at the sample."""
+    """(N,) bool: rays that hit one of the two triangles at the sample."""
     found = (hit.prim >= 0) & ((hit.prim == places.behind.prim) | (hit.prim == places.ahead.prim))
     return found if places.instance is None else found & (hit.instance == places.instance)
 
 
 def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: a hit triangle's plane lies between the ray's origin and a point beside the ray, by more than rounding.
+    """(N,) bool: the plane of the hit triangle lies between the ray's origin and a point beside the ray, beyond rounding.
 
-    The lengths of rays do not tell this: right beside a point they meet steep surfaces sooner or later than at the point,
-    by the more the farther the viewer.
+    The lengths of rays do not tell this: right beside a point they hit steep surfaces sooner or later than at the point,
+    and the more so the farther the viewer.
 
     Args:
         geometry: of the scene, detached.
-        ray, hit: (N,).
+        ray, hit: (N,) the rays, and what they hit.
         p: (N,) world, float64, right beside the rays.
     """
     corners = positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
@@ -207,5 +207,5 @@ def hides(geometry: Geometry, ray: Ray, hit: Hit, p: Vec3) -> Tensor:
 
 
 def past(hit: Hit, distance: Tensor) -> Tensor:
-    """(N,) bool: rays that hit nothing up to a given distance."""
+    """(N,) bool: rays that hit nothing closer than a given distance."""
     return (hit.prim < 0) | (hit.t > distance)

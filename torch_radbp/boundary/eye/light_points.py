@@ -26,25 +26,25 @@ SALT = 0x1F83D9AC  # tells the random numbers of these samples from others
 
 
 class LightPoints(NamedTuple):
-    """M samples of lights, with the kind of each."""
+    """M light samples, with the kind of light of each."""
 
     draw: LightDraw
     kind: Tensor  # (M,) int64, kind of light, index into `Layout.lights`
 
 
 def light_points(stages: Stages, scene: SceneTensors, view: View, count: int) -> LightPoints:
-    """Light samples with selection probabilities that do not depend on a point."""
+    """Samples lights with selection probabilities that do not depend on an illuminated point."""
     key, number = salted(view, SALT), torch.arange(count, dtype=torch.int32, device=scene.device)
     return stages(light_samples)(scene.lights.choice, scene.lights.kind, key, number)
 
 
 @stage("choice", "kind")
 def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey, number: Tensor) -> LightPoints:
-    """The light samples of given indices, (M,) int32.
+    """The light samples with given numbers, (M,) int32.
 
     Args:
-        choice: of elements of the light table.
-        kind: (E,) of each element the number of its kind.
+        choice: the distribution of elements of the light table.
+        kind: (E,) the kind of light of each element.
         key: of random numbers.
     """
     key = key._replace(shared=torch.full_like(key.shared, -1))
@@ -65,7 +65,7 @@ def light_samples(choice: AliasTable | TreeChoice, kind: Tensor, key: SampleKey,
 
 @stage("scene")
 def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
-    """The viewpoints of light samples, (M,); `scene`: detached, any part of it."""
+    """Light samples as viewpoints, (M,); `scene`: detached, any part of it."""
     zero = torch.zeros_like(draw.picked.pmf).double()
     nowhere = Vec3(zero, zero, zero)
     aims = aims_at(scene, nowhere, draw)
@@ -75,7 +75,7 @@ def light_eyes(scene: SceneTensors, draw: LightDraw) -> Eyes:
 
 @stage("scene")
 def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
-    """The lights of samples as lobes seen from given points, one each.
+    """The lights of samples as lobes of directions, seen from given points, one each.
 
     Args:
         scene: detached, any part of it.
@@ -88,20 +88,20 @@ def light_lobes(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Lobe:
 
 @stage("scene")
 def light_line(scene: SceneTensors, p: Vec3, draw: LightDraw) -> tuple[Vec3, Vec3, Tensor]:
-    """The origin and direction of the light of samples through points p; attached.
+    """The lines along which the light of samples passes points p: origin and direction, (N,) world, and parallel, (N,) bool.
 
-    (N,) world; the point is p itself where light is parallel, the direction is of any length. And where it is so, (N,) bool.
+    Attached. In parallel light the origin is p itself. The direction is of any length.
     """
     return line_of(aims_at(scene, p, draw), p)
 
 
 def aims_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Aims:
-    """The light samples as seen from points, (N,) world; attached."""
+    """The light samples as seen from points p, (N,) world; attached."""
     return light_aims(scene, scene, p.map(lambda c: c.to(scene.dtype)), draw.numbers, draw.picked)
 
 
 def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
-    """The origin and direction of light, see `light_line`, from light samples seen from `p`."""
+    """The results of `light_line` from `Aims`, the light samples as seen from p."""
     parallel = among(aims.cases, [case.kind.parallel for case in aims.cases], aims.element)
     target, towards = (aims(name) for name in ("target", "d"))
     target = p if target is None else target.map(torch.Tensor.double)
@@ -110,7 +110,7 @@ def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
 
 
 def _normal_of(aims: Aims, p: Vec3) -> Vec3:
-    """The normals of light samples' surfaces, (N,) unit, world; 0 without a surface."""
+    """The surface normals of light samples, (N,) unit, world; 0 for lights without a surface."""
     n = aims("n")
     if n is None:
         return p * 0.0

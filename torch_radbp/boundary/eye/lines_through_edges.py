@@ -23,17 +23,17 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, normalize
 
 
 def scattered_towards(call: RenderCall, integrand: Integrand, points: Viewpoints, reach: Vec3) -> Vec3:
-    """BSDF times cosine of viewpoints, (N,), in directions of any length, float64; detached."""
+    """The BSDF times cosine of viewpoints, (N,), for directions `reach` of any length, float64; detached."""
     d = normalize(reach).map(lambda c: c.to(integrand.proposal.dtype).contiguous())
     return scattered_light(integrand, path_of(call, points.ray, points.key), points.hit, d, points.flight)
 
 
 def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
-    """(N,) float64 solid angle per unit of barycentric coordinates, where lines meet triangles' planes; 1 without a hit.
+    """(N,) float64, the solid angle per unit of barycentric coordinates where lines meet hit triangles; 1 without a hit.
 
     Args:
         scene: detached.
-        hit: (N,) the triangles.
+        hit: (N,) the hit triangles.
         line: (N,) float64, with directions of any length.
     """
     corners, d = corners_of(geometry_of(scene), hit), normalize(line.d)
@@ -44,11 +44,10 @@ def solid_angle(scene: SceneTensors, hit: Hit, line: Ray) -> Tensor:
 
 
 def height_over_plane(corners: tuple[Vec3, Vec3, Vec3], p: Vec3) -> tuple[Vec3, Tensor]:
-    """The normals n of triangles, as long as twice their area, and |n| times distances of points from their planes, (N,).
+    """The normals of triangles, as long as twice their area, and the heights of points over their planes in the same unit.
 
-    A point that lies in the plane up to rounding has a distance of 0: from there nothing of the triangle is seen. A line
-    from there meets the plane nowhere, and what rounding makes of the solid angle does not vanish as fast as the speed
-    grows at which the place where they meet moves over the plane.
+    A point that lies in the plane up to rounding has a height of 0: from there nothing of the triangle is seen. Otherwise
+    the solid angle, which is rounding error there, would be multiplied with the diverging speed of the intersection.
 
     Args:
         corners: of the triangles, (N,) world, float64, detached.

@@ -26,23 +26,23 @@ from torch_radbp.tensors.vec import Vec3, dot, rows
 
 
 def behind_boundaries(integrand: Integrand, state: PathState, hit: Hit) -> tuple[Hit, Flight]:
-    """What rays meet behind the boundaries of media that they pass, and their ways up to there, on which nothing scatters.
+    """Follows rays through invisible boundaries of media: the surfaces that they hit, and the way there, without scattering.
 
     Args:
-        integrand: of a detached scene.
-        state, hit: (N,) with the rays, and what they meet first.
+        integrand: with a detached scene.
+        state, hit: (N,) the path states with the rays, and what these hit first.
     """
     return free_flights(integrand.standing(), state, hit, integrand.max_depth - 1)
 
 
 def lit_surfaces(call: RenderCall, outline: Outline, passed: Passed) -> tuple[Tensor, Hit]:
-    """The indices of places on edges that are not hidden from the light, (K,) int64, and the surfaces beyond. Where
-    boundaries of media are passed some are: `light_sent_past` says of which.
+    """The indices of samples on edges that are not hidden from their light, (K,) int64, and the surfaces beyond the edges.
+    Where boundaries of media are passed, hidden ones are left in; `light_sent_past` removes these.
 
     Args:
         call: detached.
         outline: the edges.
-        passed: (N,) places on these.
+        passed: (N,) samples on these as the lights see them.
     """
     integrand = call.integrand
     if not call.scene.layout.traces_segments:
@@ -60,14 +60,14 @@ def lit_surfaces(call: RenderCall, outline: Outline, passed: Passed) -> tuple[Te
 
 def sees_receivers(integrand: Integrand, state: PathState, receiver: Hit, p: Vec3,
                    depth: int) -> tuple[Tensor, Flight | None]:
-    """The indices of rays that meet the receivers of borders, (K,) int64, and of all rays the ways through boundaries of
-    media; None: they pass none.
+    """The indices of rays that hit the receivers of shadow borders, (K,) int64, and the ways of all rays through media;
+    None: there are no boundaries of media.
 
     Args:
-        integrand: the view's, of a detached scene.
-        state: (N,) with the rays.
-        receiver, p: (N,) surfaces, and world points on these, float64.
-        depth: of the bounce; 0: rays are a camera's.
+        integrand: for the view, with a detached scene.
+        state: (N,) path states with the rays.
+        receiver, p: (N,) the receiving surfaces, and world points on these, float64.
+        depth: of the bounce; 0: camera rays.
     """
     hit, flight = first_hit(integrand, state.ray, depth), None
     if integrand.proposal.layout.traces_segments:
@@ -78,14 +78,14 @@ def sees_receivers(integrand: Integrand, state: PathState, receiver: Hit, p: Vec
 
 def light_sent_past(integrand: Integrand, state: PathState, receiver: Hit, flight: Flight | None, draw: LightDraw,
                     passed: Passed, depth: int) -> Vec3:
-    """The light of one sample that surfaces send back along rays, past edges, (N,); 0 where boundaries of media are passed
-    and it is hidden.
+    """The light of one sample, passing an edge, that surfaces reflect back along rays, (N,); 0 if it is hidden behind
+    boundaries of media.
 
     Args:
-        integrand: the view's, of a detached scene.
-        state, receiver, flight: (N,) rays, the surfaces that they meet, and their ways, as of `sees_receivers`.
+        integrand: for the view, with a detached scene.
+        state, receiver, flight: (N,) rays, the surfaces that they hit, and their ways, as of `sees_receivers`.
         draw: the light samples.
-        passed: the edges that light passes.
+        passed: the edges that the light passes.
         depth: of the surfaces.
     """
     light = light_sent_back(integrand, state, receiver, draw, flight)

@@ -27,13 +27,13 @@ from torch_radbp.tensors.vec import Vec2, interpolated, rows
 
 
 def motion_of_surface(call: RenderCall, number: int, geometry: Geometry, hit: Hit, aperture: Vec2 | None) -> Vec2:
-    """(N,) zeros, attached: how points that are fixed to surfaces move on the film of view `number`, pixels."""
+    """(N,) zeros, attached: the motion on the film of view `number`, in pixels, of hit points that are fixed to surfaces."""
     at = interpolated(corners_of(geometry, hit), hit.u.double(), hit.v.double())
     return Vec2(*(part - primal(part) for part in on_film(call.views[number].camera, at, aperture)))
 
 
 def light_from_lamps(call: RenderCall, number: int, sample: CameraSample, hit: Hit) -> Tensor:
-    """(3, N) float64 light that paths from lamps bring to what camera rays meet; `call`: detached."""
+    """(3, N) float64, the light of paths from lamps at the points that camera rays hit; `call`: detached."""
     whole, own = (trace(integrand_of(part, part.integrand, number), started(part, sample), hit=hit)
                   for part in (call, call.camera_share))
     light = torch.stack(tuple(whole - own)).double()
@@ -41,13 +41,13 @@ def light_from_lamps(call: RenderCall, number: int, sample: CameraSample, hit: H
 
 
 def deposits_of_sides(call: RenderCall, number: int, places: Places, hit: Hit, light: Tensor) -> list[Deposit]:
-    """What the motions of the surfaces beside K places add.
+    """The deposits by the motion of the surfaces on both sides of K samples, for light that is fixed to surfaces.
 
     Args:
-        call, number: of the view.
-        places: on curves.
-        hit: (2 K,) what lies behind them, then ahead.
-        light: (3, 2 K) from lamps there, for each sample.
+        call, number: the rendering, and the number of the view.
+        places: samples on curves.
+        hit: (2 K,) the surfaces behind them, then those ahead.
+        light: (3, 2 K) the light from lamps there, per sample.
     """
     geometry, count = attached_geometry(call.scene), len(places.u)
     found = []

@@ -27,7 +27,7 @@ from torch_radbp.tensors.vector_jacobian import TableAdjoint, table_adjoints, ve
 
 
 class JumpPlaces(NamedTuple):
-    """Samples on discontinuity curves that the camera sees."""
+    """Visible samples on discontinuity curves, with the jump of the image at each."""
 
     places: Places  # among others
     shown: Tensor  # (K,) int32, indices of the visible ones
@@ -36,13 +36,13 @@ class JumpPlaces(NamedTuple):
 
 
 def moved_places(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, taped: bool) -> Tensor:
-    """(K,) float64 zeros, attached: the areas that samples on curves sweep.
+    """(K,) float64 zeros, attached: the areas that the curves sweep at samples.
 
     Args:
         stages: of the call.
         geometry, camera: attached.
         jumps: the samples.
-        taped: whether second derivatives may be asked for.
+        taped: whether autograd records all operations, for second derivatives.
     """
     if taped or has_tangents((geometry, camera)):
         geometry = geometry if has_tangents(geometry) else summed(geometry)
@@ -65,27 +65,27 @@ def moved_places(stages: Stages, geometry: Geometry, camera: Camera, jumps: Jump
 
 @stage()
 def scaled_slopes(slopes: tuple[Tensor, ...], by_area: Tensor) -> tuple[Tensor, ...]:
-    """The loss's derivatives by what swept areas depend on, (K,) float64 each; `by_area`: by the areas."""
+    """The derivatives of the loss by what swept areas depend on, (K,) float64 each; `by_area`: those by the areas."""
     return tuple(slope * by_area for slope in slopes)
 
 
 @stage("geometry", "camera", "places")
 def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Tensor:
-    """(K,) zeros, attached: the areas of the film that pieces of curves sweep, pixels.
+    """(K,) zeros, attached: the areas of the film, in pixels, that pieces of curves sweep.
 
     Args:
         geometry: of the scene, attached.
         camera: attached.
-        places: of which some are meant.
-        chosen: (K,) int32, which.
-        kinds: of curves, of which some may be among them.
+        places: the samples, of which some are used.
+        chosen: (K,) int32, the indices of the samples to use.
+        kinds: the kinds of curves that may be among the samples.
     """
     area = signed_area(geometry, camera, rows(places, chosen), kinds)
     return area - primal(area)
 
 
 def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple[int, ...]) -> Tensor:
-    """The swept areas of samples, up to a constant; see `swept`."""
+    """The swept areas of samples up to a constant, (N,) attached; see `swept`."""
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
@@ -97,7 +97,7 @@ def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple
 
 
 class Slopes(NamedTuple):
-    """The derivatives of swept areas, (K,) each."""
+    """The derivatives of swept areas by scene and camera, (K,) each."""
 
     tables: list[list[TableAdjoint]]  # for each differentiated leaf of the geometry, per entry read
     lens: list[Tensor]  # for each differentiated leaf of the camera
@@ -106,11 +106,11 @@ class Slopes(NamedTuple):
 @stage("geometry", "camera", "places")
 def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_of_camera: tuple[bool, ...],
            places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Slopes:
-    """The derivatives of the swept areas of `swept`.
+    """The derivatives of the areas that `swept` computes.
 
     Args:
         geometry, camera: detached; the rest as for `swept`.
-        wanted, wanted_of_camera: of each leaf, as `leaves_of` counts them, whether to differentiate by it.
+        wanted, wanted_of_camera: for each leaf, in the order of `leaves_of`, whether to differentiate by it.
     """
     places = rows(places, chosen)
     taps: list[Tap] = []
@@ -127,7 +127,7 @@ def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_
 
 
 def by_index(reads: list[TableAdjoint]) -> list[TableAdjoint]:
-    """Sums the adjoints of a table's look-ups that have one index, in float64."""
+    """The adjoints of a table's reads, with those of equal indices summed in float64."""
     found: dict[int, TableAdjoint] = {}
     for index, adjoint in reads:
         known = found.get(id(index))

@@ -33,7 +33,7 @@ from torch_radbp.vertex.interaction import is_boundary, surface_interaction
 
 
 class PastEdges(NamedTuple):
-    """What N rays from viewpoints past edges meet."""
+    """Rays from N viewpoints past edges, and the surfaces that they hit."""
 
     ray: Ray  # from the viewpoints, in the scene's dtype
     hit: Hit  # as seen from there
@@ -41,20 +41,20 @@ class PastEdges(NamedTuple):
     flight: Flight | None = None  # by which they come to `hit`; None: the first bounce says so
 
     def fixed_to(self, scene: SceneTensors) -> Hit:
-        """The surfaces to which directions are fixed; triangle -1: there is none, or a boundary, and they stay."""
+        """The hits to which directions are fixed when surfaces move; triangle -1: none, or a boundary of media."""
         if scene.boundaries is None:
             return self.hit
         return self.hit._replace(prim=torch.where(is_boundary(scene, self.hit.prim), -1, self.hit.prim))
 
 
 def straight_past_edges(scene: SceneTensors, at: Vec3, passed: Passed, beyond: Hit) -> PastEdges:
-    """Straight ways past edges.
+    """The straight rays from viewpoints past edges, with the surfaces behind.
 
     Args:
         scene: any part of it.
-        at: (M,) the viewpoints.
-        passed: (N,) places on edges that are seen from them.
-        beyond: (N,) what rays meet that begin right beside those.
+        at: (M,) world positions of the viewpoints.
+        passed: (N,) samples on edges as the viewpoints see them.
+        beyond: (N,) the hits of rays that begin right beside the samples.
     """
     start = rows(at, passed.eye)
     reach = passed.p - start
@@ -64,15 +64,15 @@ def straight_past_edges(scene: SceneTensors, at: Vec3, passed: Passed, beyond: H
 
 def seen_past_edges(call: RenderCall, integrand: Integrand, outline: Outline, points: Viewpoints, at: Vec3,
                     passed: Passed, alone: Tensor) -> tuple[Passed, PastEdges]:
-    """The places on edges that nothing hides from viewpoints, and what these see past them, (K,).
+    """The samples on edges that nothing hides from viewpoints, and what the viewpoints see past them, (K,).
 
     Args:
         call: detached.
-        integrand: the view's.
+        integrand: for the view.
         outline: the edges.
-        points: (M,) viewpoints, which lie `at`.
-        passed: (N,) places on edges that are seen from them.
-        alone: (N,) bool: they count even if no surface is behind.
+        points: (M,) the viewpoints, at positions `at`.
+        passed: (N,) samples on edges as the viewpoints see them.
+        alone: (N,) bool: samples that count even if no surface is behind.
     """
     if not call.scene.layout.traces_segments:
         hit = call.integrand.caster.intersect(passed.onwards)
@@ -89,7 +89,7 @@ def seen_past_edges(call: RenderCall, integrand: Integrand, outline: Outline, po
 
 @stage("scene")
 def hides_all(scene: SceneTensors, prim: Tensor) -> Tensor:
-    """(N,) bool: triangles that hide what is behind them, unlike boundaries of media and panes, which rays pass straight.
+    """(N,) bool: opaque triangles, which are neither boundaries of media nor panes that rays pass straight.
 
     Args:
         scene: any part of it, detached.
@@ -103,7 +103,7 @@ def hides_all(scene: SceneTensors, prim: Tensor) -> Tensor:
 
 
 def flown_past_edges(call: RenderCall, integrand: Integrand, points: Viewpoints, passed: Passed) -> PastEdges:
-    """Ways past edges through media and their boundaries, (N,); args as for `seen_past_edges`."""
+    """The ways from viewpoints past edges through media and their boundaries, (N,); args as for `seen_past_edges`."""
     own, integrand = rows(points, passed.eye), integrand.standing()
     ray, medium = integrand.part(Ends.SURROUNDINGS).call(leaving_towards, own.ray, own.hit, own.flight, passed.onwards.o)
     room = None
@@ -120,12 +120,12 @@ def flown_past_edges(call: RenderCall, integrand: Integrand, points: Viewpoints,
 
 @stage("scene")
 def leaving_towards(scene: SceneTensors, ray: Ray, hit: Hit, flight: Flight, p: Vec3) -> tuple[Ray, Tensor | None]:
-    """Rays from the vertices of paths to points p in the world, and the numbers of the media in which they begin, (N,) each;
-    None: rays are not followed through media.
+    """Rays from path vertices to world points p, and the numbers of the media in which they begin, (N,) each; None: rays are
+    not followed through media.
 
     Args:
         scene: any part of it, detached.
-        ray, hit, flight: by which paths come to the vertices.
+        ray, hit, flight: of the path segments that arrive at the vertices.
     """
     si, ends = surface_interaction(scene, ray, hit), flight.t < torch.inf
     inside = point_along(ray, torch.where(ends, flight.t, 0.0))

@@ -24,7 +24,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
 class Chains(NamedTuple):
-    """K chains of ideal vertices; detached."""
+    """K chains of ideal vertices, from the camera on; detached."""
 
     states: dict[int, PathState]  # by index of the vertex, of paths that go on there
     steps: dict[int, Step]
@@ -33,19 +33,19 @@ class Chains(NamedTuple):
 
 
 def follows_chains(integrand: Integrand) -> Integrand:
-    """The integrand with which chains of ideal vertices are differentiated."""
+    """The integrand by which chains of ideal vertices are traced and differentiated."""
     integrand = only_ideal(integrand)
     # Whether all directions are followed or not.
     return integrand._replace(settings=integrand.settings._replace(moving=True, sampling="hybrid"))
 
 
 def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
-    """Traces chains of given numbers of vertices.
+    """Traces chains of ideal vertices of given lengths.
 
     Args:
-        integrand: from `follows_chains`, of a detached scene.
-        start: (K,) of the paths.
-        depth: (K,) int64, less than the vertices of each.
+        integrand: from `follows_chains`, with a detached scene.
+        start: (K,) the initial path states.
+        depth: (K,) int64, the number of vertices of each chain, less than that of the path.
     """
     state, states, steps, ends = start, {}, {}, []
     while len(state.lane):
@@ -65,13 +65,13 @@ def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
 
 def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted: tuple[bool, ...],
                      gradients: Gradients) -> Ray:
-    """The adjoints of the first rays of chains; adds to the scene's gradients.
+    """The adjoints of the first rays of chains, from those of the rays that leave them; adds to the scene's gradients.
 
     Args:
-        integrand: that the chains are of.
-        chains: (K,).
-        adj_ray: of the rays that leave them.
-        wanted: of each leaf of the scene, as `leaves_of` counts them, whether `gradients` have it.
+        integrand: by which the chains were traced.
+        chains: (K,) the chains.
+        adj_ray: the adjoints of the rays that leave them.
+        wanted: for each leaf of the scene, in the order of `leaves_of`, whether `gradients` have it.
         gradients: added to.
     """
     record = PathRecord(lambda: chains.states[0], None, chains.states, chains.steps, len(chains.steps))
@@ -85,7 +85,7 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
 
 
 class Follows(NamedTuple):
-    """The derivatives of K numbers through chains of ideal vertices."""
+    """The derivatives of K numbers by the rays that leave and that begin chains of ideal vertices."""
 
     integrand: Integrand
     chains: Chains
@@ -94,11 +94,11 @@ class Follows(NamedTuple):
 
 
 def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
-    """(K,) float64 zeros with derivatives through chains of mirrors and glass.
+    """(K,) float64 zeros that carry derivatives through chains of mirrors and glass to camera rays and the scene.
 
     Args:
-        follows: how.
-        start: the rays with which these begin, attached.
+        follows: the derivatives by the rays of the chains.
+        start: the first rays of the chains, attached.
         scene: attached.
     """
     integrand, chains, adj_ray, adj_start = follows._replace(integrand=follows.integrand._replace(caster=None))

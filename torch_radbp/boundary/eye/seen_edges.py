@@ -41,14 +41,14 @@ FAR = 1e10  # the distance of what is a direction
 
 
 class Casting(NamedTuple):
-    """The edges of meshes that may cast shadows, and a tree by which viewpoints find those they see; detached."""
+    """The edges of a scene that may cast shadows, and a tree by which viewpoints sample those they see; detached."""
 
     outline: Outline
     tree: EdgeTree  # over its edges
 
 
 class Passed(NamedTuple):
-    """N samples on edges as viewpoints see them, float64 but for integers."""
+    """N samples on edges as viewpoints see them, with the rays right past the edges; float64 but for integers."""
 
     edge: Tensor  # int32
     eye: Tensor  # int32, viewpoint
@@ -63,15 +63,15 @@ class Passed(NamedTuple):
 
 
 def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, extent: Tensor) -> Tensor:
-    """The angles that silhouette edges subtend, 0 for other edges; times their weight; (N,) float64.
+    """The angles that silhouettes subtend, times the weight of their directions; 0 for other edges; (N,) float64.
 
-    From a direction lengths across it are seen instead, as shares of the extent.
+    From a viewpoint at infinity it is the length across the direction, as a share of the extent.
 
     Args:
         geometry: of the scene, detached.
         outline: its edges.
-        edge: (N,) int32; -1: none.
-        eye: (N,) looks at it.
+        edge: (N,) int32, indices of edges; -1: none.
+        eye: (N,) the viewpoints.
         extent: () of the scene.
     """
     edges, instance = rows((outline.edges, outline.instance), edge.clamp_min(0))
@@ -79,14 +79,14 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
 
 
 def angle_of_edge(geometry: Geometry, slot: EdgeSlots, eye: Eyes, extent: Tensor) -> Tensor:
-    """The angles that edges subtend, see `angle_seen`; `slot`: (N,) the edges."""
+    """The weighted angles that silhouette edges `slot`, (N,), subtend, see `angle_seen`."""
     a, b, *opposite = in_world(geometry, slot.vertices, slot.instance)
     silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
     return torch.where((slot.edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
 
 
 def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
-    """The angles that segments from a to b subtend, (N,), see `angle_seen`."""
+    """The weighted angles that segments from a to b subtend from viewpoints, (N,), see `angle_seen`."""
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
@@ -99,13 +99,13 @@ def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
 
 @stage("geometry", "slots", "eyes")
 def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, extent: Tensor) -> PickedEdges:
-    """Samples silhouettes below the last nodes of the tree, in proportion to their angles.
+    """Samples a silhouette below each descent's last node of the tree, in proportion to their angles.
 
     Args:
         geometry, extent: as for `angle_seen`.
-        slots: of the tree.
-        eyes: look for them.
-        at: (N,) at the last nodes.
+        slots: the edges in the order of the tree.
+        eyes: the viewpoints.
+        at: (N,) descents at the last nodes.
     """
     own, first = rows(eyes, at.eye), at.node * GROUP
     angles = [angle_of_edge(geometry, rows(slots, first + place), own, extent) for place in range(GROUP)]
@@ -115,14 +115,14 @@ def edge_found(geometry: Geometry, slots: EdgeSlots, eyes: Eyes, at: Descent, ex
 @stage("geometry", "outline", "eyes", "found")
 def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot, seed: SampleKey, extent: Tensor,
                 place: Tensor) -> Passed:
-    """Samples points on the silhouette edges that viewpoints have selected.
+    """Samples points on the silhouette edges that viewpoints have selected, with the rays past these.
 
     Args:
         geometry, outline, extent: as for `angle_seen`.
-        eyes: look for them.
-        found: their edges.
+        eyes: the viewpoints.
+        found: the selected edges.
         seed: of the random numbers.
-        place: (N,) int32, numbers of the places.
+        place: (N,) int32, the numbers of the samples.
     """
     key, aim, turn = numbers_of_places(seed, place)
     number, _, times = picked(found.lot, place, aim)
@@ -143,21 +143,21 @@ def edge_passed(geometry: Geometry, outline: Outline, eyes: Eyes, found: EdgeLot
 
 
 def numbers_of_places(seed: SampleKey, place: Tensor) -> tuple[LaneKey, Tensor, Tensor]:
-    """The random numbers of samples, (N,) int32: keys, one for selection, one for the position along the edge."""
+    """The random numbers of samples `place`, (N,) int32: keys, one to select edges, one for the position along these."""
     key = key_of_places(seed, place)
     numbers = bounce_key(key, CAMERA_COUNTER)
     return key, fine_unit(random_bits(numbers, 1)), fine_unit(random_bits(numbers, 0))
 
 
 def place_between(a: Vec3, b: Vec3, eye: Eyes, turn: Tensor, times: Tensor) -> tuple[Tensor, Tensor, Vec3]:
-    """Points of segments from a to b at a fraction `turn` of the angle: position along, weight, and point; (N,) each."""
+    """Points of segments at a fraction `turn` of the subtended angle: position along, weight, and point; (N,) each."""
     along, density = evenly_seen(a * eye.w - eye.place, b * eye.w - eye.place, turn)
     along, times = torch.where(eye.w > 0.0, along, turn), torch.where(eye.w > 0.0, times / density, times)
     return along, times, a + (b - a) * along
 
 
 def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> Passed:
-    """Places on edges with the rays that pass just beside them; `own`: (N,) their viewpoints, `dtype`: of rays."""
+    """The samples with the rays that pass right beside their edges; `own`: (N,) the viewpoints, `dtype`: of rays."""
     start = place.p + place.outwards * (BESIDE * extent)
     away = start * own.w - own.place
     length = torch.sqrt(dot(away, away)).clamp_min(TINY)
@@ -167,12 +167,12 @@ def passed_at(own: Eyes, place: Passed, extent: Tensor, dtype: torch.dtype) -> P
 
 
 def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
-    """Points of segments at a fraction of the angle seen from the origin: position along, and its density for uniform
+    """Positions on segments from a to b at a fraction of the angle seen from the origin, and their density for uniform
     fractions.
 
     Args:
-        a, b: (N,) float64.
-        turn: (N,) in [0, 1), shares of the angle between them.
+        a, b: (N,) float64, the ends relative to the origin.
+        turn: (N,) in [0, 1), fractions of the angle between them.
     """
     (to_a, near_a), (to_b, near_b) = ((end * torch.rsqrt(squared), torch.sqrt(squared))
                                       for end in (a, b) for squared in [dot(end, end).clamp_min(TINY)])
@@ -186,7 +186,7 @@ def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
-    """The density of `evenly_seen` at positions along segments, (N,)."""
+    """The densities with which `evenly_seen` yields positions along segments, (N,)."""
     p, normal = a + (b - a) * along, cross(a, b)
     angle, squared = angle_between(normalize(a), normalize(b)), dot(normal, normal)
     return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
@@ -194,17 +194,17 @@ def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
 
 def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey, each: int, count: int,
                 tried: Tensor | None = None) -> Passed | None:
-    """Samples silhouettes as seen from viewpoints, in proportion to their angles; None: there are none.
+    """Samples points on silhouettes as viewpoints see them, in proportion to the angle; None: there are none.
 
     Args:
-        stages: of the call.
+        stages: runs the stages.
         geometry: of the scene, detached.
-        casting: the edges.
-        eyes: look at them.
+        casting: the edges, and their tree.
+        eyes: the viewpoints.
         seed: of the random numbers.
-        each: how often each looks for an edge.
-        count: how many places there are to be on edges that were found, at most: no more than ways that found one.
-        tried: (M,) bool, eyes whose places have random numbers of their own, and do not depend on what others find; they
+        each: the number of descents of the tree per viewpoint.
+        count: the greatest number of samples; there are at most as many as descents that found an edge.
+        tried: (M,) bool, pilot viewpoints, whose samples have separate random numbers and do not depend on others; they
             come first. None: there are none.
     """
     outline, tree = casting
@@ -217,55 +217,55 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
               found: tuple[EdgeLot, Tensor] | None) -> Passed | None:
-    """Samples points on edges, `found` by `lot_of_found`; None: there are none. The other args as for `places_seen`."""
+    """Samples points on edges that `lot_of_found` has selected; None: there are none. Other args as for `places_seen`."""
     if found is None:
         return None
     return stages(edge_passed)(geometry, outline, eyes, found[0], seed, extent_of(geometry), found[1])
 
 
 def salted(view: View, salt: int) -> SampleKey:
-    """The key of a view's derivative random numbers with a salt."""
+    """The key of a view's random numbers for derivatives, changed by a salt."""
     key = view.sample_keys[1]
     return SampleKey(hash32(key.seed ^ salt), key.shared)
 
 
 def uniform_numbers(key: SampleKey, lane: Tensor, counter: Tensor | int, dtype: torch.dtype) -> Tensor:
-    """A uniform random number in [0, 1) per lane, (N,) int32."""
+    """One uniform random number in [0, 1) for each lane, (N,) int32."""
     return uniform(bounce_key(LaneKey(hash32(lane + key.seed), torch.zeros_like(lane)), counter), 0, dtype)
 
 
 def unhidden(integrand: Integrand, passed: Passed) -> Tensor:
-    """The indices of samples on edges that nothing hides from the viewpoints, (K,) int64."""
+    """The indices of samples on edges that nothing hides from their viewpoints, (K,) int64."""
     return (~integrand.caster.occluded(passed.back, passed.distance)).nonzero().squeeze(1)
 
 
 def point_of_edge(geometry: Geometry, outline: Outline, edge: Tensor, along: Tensor) -> Vec3:
-    """Points of edges, (N,) world, attached; float64.
+    """The positions of points on edges, (N,) world, attached; float64.
 
     Args:
         geometry: attached.
         outline: the edges.
-        edge: (N,) int32, which.
-        along: (N,) shares of the way from one end to the other.
+        edge: (N,) int32, indices of edges.
+        along: (N,) positions as shares of the edges' lengths.
     """
     a, b = in_world(geometry, rows((outline.edges.a, outline.edges.b), edge), rows(outline.instance, edge))
     return a + (b - a) * along
 
 
 def corners_of(geometry: Geometry, hit: Hit) -> tuple[Vec3, Vec3, Vec3]:
-    """The corners of hit triangles in the world, attached; float64. Of any triangle for a miss."""
+    """The corner positions of hit triangles in the world, attached; float64. For a miss, those of any triangle."""
     return positions(geometry, Between(*lookup(geometry.triangles.corners, hit.prim.clamp_min(0))), hit.instance)
 
 
 def crossed_at(corners: tuple[Vec3, Vec3, Vec3], line: Ray) -> Vec2:
-    """Intersections of lines, (N,), with the planes of triangles, barycentric; attached."""
+    """The barycentric coordinates at which lines, (N,), cross the planes of triangles; attached."""
     volume, of_u, of_v = crossing(line, corners[0], corners[1] - corners[0], corners[2] - corners[0])
     volume = torch.where(volume != 0.0, volume, 1.0)
     return Vec2(of_u / volume, of_v / volume)
 
 
 class Course(NamedTuple):
-    """The course of borders at N samples, in two coordinates; detached, float64."""
+    """Positions and normals of borders at N samples, in two coordinates, and the areas swept; detached, float64."""
 
     at: Vec2
     normal: Vec2  # across the border; its length is that of the piece per sample; 0 where unknown
@@ -274,11 +274,11 @@ class Course(NamedTuple):
 
 
 def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
-    """The course of borders.
+    """The `Course` of borders, from a function that gives their points.
 
     Args:
-        seen: gives where they are, of `step` and `off`, as for `border.border`.
-        times: (N,) of edges for which each sample stands.
+        seen: returns positions for args `step` and `off`, as of `border.border`.
+        times: (N,) the number of edges for which each sample stands.
         off: (N,) from edges to points beside them.
     """
     (at, along), beside = pace(seen, times), seen(off=off)
@@ -287,11 +287,11 @@ def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
 
 
 def finite_normal(along: Vec2, times: Tensor) -> Vec2:
-    """Normals of curves whose length is that of the piece per sample; 0 where too long to be counted; (N,) each.
+    """The normals of curves, as long as the piece that each sample stands for; 0 where that is not finite; (N,) each.
 
     Args:
-        along: (N,) how fast places move along their edges, of `pace`.
-        times: (N,) of edges for which each stands.
+        along: (N,) the derivative of positions along edges, from `pace`.
+        times: (N,) the number of edges for which each sample stands.
     """
     normal = Vec2(-along.y * times, along.x * times)
     counts = torch.isfinite(normal.x) & torch.isfinite(normal.y)
@@ -299,11 +299,11 @@ def finite_normal(along: Vec2, times: Tensor) -> Vec2:
 
 
 def pace(seen: Callable[[Tensor], Vec2], like: Tensor) -> tuple[Vec2, Vec2]:
-    """The image of samples, and its derivative along the edges; (N,) each, detached.
+    """The positions of samples, in two coordinates, and their derivative along the edges; (N,) each, detached.
 
     Args:
-        seen: gives them, of (N,) steps from where they are, shares of the edges' lengths.
-        like: (N,) float64.
+        seen: returns the positions for (N,) steps along the edges, as shares of their lengths.
+        like: (N,) float64, a template for the steps.
     """
     def velocity(coordinate: int) -> tuple[Tensor, Tensor]:
         with torch.enable_grad():

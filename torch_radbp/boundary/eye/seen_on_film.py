@@ -27,7 +27,7 @@ ALIKE = 0.9  # cosine between normals of triangles of one surface
 
 
 def aperture_of(view: View, key: LaneKey) -> Vec2 | None:
-    """Random points of the camera's lens, as of `CameraKind.sample_ray`."""
+    """Random points on the camera's lens, as args of `CameraKind.sample_ray`; None: it is a pinhole."""
     if not view.camera.kind.has_aperture:
         return None
     more = bounce_key(key, APERTURE_COUNTER)
@@ -42,7 +42,7 @@ def camera_sample(call: RenderCall, view: View, film: Vec2, aperture: Vec2 | Non
 
 @stage("camera")
 def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey, cones: bool) -> CameraSample:
-    """The camera rays through points of the film, for `camera_sample`; `cones`: with ray cones."""
+    """The camera rays through points of the film, as a stage for `camera_sample`; `cones`: with ray cones."""
     dtype = camera.dtype
     position = Vec2(*(((place + crop) / size).to(dtype) for place, crop, size in (
         (film.x, camera.film.crop_x, camera.film.size_x), (film.y, camera.film.crop_y, camera.film.size_y))))
@@ -54,13 +54,13 @@ def film_sample(camera: Camera, film: Vec2, aperture: Vec2 | None, key: LaneKey,
 
 
 def seen_at(hit: Hit, ray: Ray, p: Vec3) -> Hit:
-    """Hits on the same triangles, for rays that meet points p, (N,) float64."""
+    """Hits on given triangles, at their points p, (N,) float64, as rays would report them."""
     reach = p - ray.o.map(torch.Tensor.double)
     return hit._replace(t=torch.sqrt(dot(reach, reach)).to(ray.o.x.dtype))
 
 
 def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
-    """Points of the film a little beside borders, in shadow."""
+    """Points of the film slightly beside shadow borders, on the side of the shadow."""
     length = torch.hypot(aside.x, aside.y).clamp_min(TINY)
     # Far enough for the rounding of positions on the film, however small the window.
     reach = ASIDE * torch.maximum(camera.film.size_x, camera.film.size_y).double() / length
@@ -68,15 +68,15 @@ def into_shade(camera: Camera, film: Vec2, aside: Vec2) -> Vec2:
 
 
 def sees(integrand: Integrand, ray: Ray, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: camera rays that hit the receivers of borders; `p` (N,) points on these."""
+    """(N,) bool: camera rays that hit the receivers of shadow borders; `p` (N,) world points on these."""
     return integrand.stages(meets)(geometry_of(integrand.proposal), ray, first_hit(integrand, ray, 0), receiver, p)
 
 
 @stage("geometry")
 def meets(geometry: Geometry, ray: Ray, hit: Hit, receiver: Hit, p: Vec3) -> Tensor:
-    """(N,) bool: hits on the receivers of borders; `p` (N,) world points on these.
+    """(N,) bool: hits that lie on the receivers of shadow borders; `p` (N,) world points on these.
 
-    Another triangle is of the same surface if the border lies in its plane, but for rounding and by what rays pass aside.
+    Another triangle counts as the same surface if the border lies in its plane, up to rounding and the offset of rays.
     """
     reach, corners = p - ray.o.map(torch.Tensor.double), corners_of(geometry, hit)
     distance, of_receiver = torch.sqrt(dot(reach, reach)), corners_of(geometry, receiver)

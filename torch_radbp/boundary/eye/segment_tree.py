@@ -35,7 +35,7 @@ from torch_radbp.tensors.vec import Vec3, dot, interpolated, masked, normalize, 
 
 
 class SegmentTree(NamedTuple):
-    """Intersection segments, and a tree over them; detached."""
+    """Intersection segments, and a tree by which viewpoints sample them; detached."""
 
     segments: Segments
     tree: EdgeTree
@@ -50,20 +50,20 @@ def segment_tree(stages: Stages, geometry: Geometry, segments: Segments) -> Segm
 
 
 def ends_of(geometry: Geometry, segments: Segments) -> tuple[Vec3, Vec3]:
-    """The end points of segments, (S,) world."""
+    """The end points of segments, (S,) world each."""
     corners = segments.corners(geometry)
     return tuple(interpolated(corners, end.x, end.y) for end in (segments.start, segments.end))
 
 
 @stage("geometry", "segments", "slots")
 def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: Tensor) -> EdgeNodes:
-    """The bounds of leaf nodes of the tree, one segment each.
+    """The bounds of single segments, (N,), the leaves of the tree.
 
     Args:
         geometry: of the scene, detached.
-        segments: (S,).
-        slots: of their tree.
-        slot: (N,) int32, which.
+        segments: (S,) the segments.
+        slots: the order of segments in the tree.
+        slot: (N,) int32, indices of slots.
     """
     number = lookup(slots, slot)
     exists = number >= 0
@@ -80,14 +80,14 @@ def segment_bounds(geometry: Geometry, segments: Segments, slots: Tensor, slot: 
 @stage("geometry", "segments", "slots", "eyes")
 def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: Eyes, at: Descent,
                   extent: Tensor) -> PickedEdges:
-    """Samples segments below the last nodes of the tree, in proportion to the angles that they subtend.
+    """Samples a segment below each descent's last node of the tree, in proportion to the angles that they subtend.
 
     Args:
         geometry: of the scene, detached.
-        segments: (S,).
-        slots: of the tree over these.
-        eyes: look for them.
-        at: (N,) at the last nodes.
+        segments: (S,) the segments.
+        slots: the order of segments in the tree.
+        eyes: the viewpoints.
+        at: (N,) descents at the last nodes.
         extent: () of the scene.
     """
     own, first = rows(eyes, at.eye), at.node * GROUP
@@ -105,7 +105,7 @@ def segment_found(geometry: Geometry, segments: Segments, slots: Tensor, eyes: E
 @stage("geometry", "segments", "eyes", "found")
 def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, found: EdgeLot, seed: SampleKey, extent: Tensor,
                    place: Tensor) -> Passed:
-    """Samples points on found segments, with `outwards` between the two surfaces.
+    """Samples points on the segments that viewpoints have selected; `Passed.outwards` lies between the two surfaces.
 
     Args:
         geometry, segments, eyes, extent: as for `segment_found`.
@@ -124,10 +124,10 @@ def segment_passed(geometry: Geometry, segments: Segments, eyes: Eyes, found: Ed
 
 
 def surfaces_along(segments: Segments) -> list[tuple[Tensor, Tensor | None]]:
-    """The two intersecting triangles of each segment, with instances."""
+    """The two intersecting triangles of each segment, with their instances."""
     return [(segments.triangle, segments.instance), (segments.through, segments.shown_by)]
 
 
 def _facing(corners: Corners, eye: Vec3) -> Vec3:
-    """Unit normals of triangles, (N,), on the visible side; 0 in their planes."""
+    """The unit normals of triangles, (N,), on the side of the viewpoint; 0 if that lies in their planes."""
     return unit_normal(corners[1] - corners[0], corners[2] - corners[0]) * torch.sign(height_above(corners, eye))

@@ -23,14 +23,14 @@ from torch_radbp.vertex.nearby import Floor, Nearby, slide_at
 
 def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                      seen: Vec2) -> Vec2:
-    """Subtracts how triangles' points slide from attached border positions; (N,) barycentric.
+    """Border positions less the sliding of the points of their triangles; (N,) barycentric, attached.
 
     Args:
-        call, number: of the view.
+        call, number: the rendering, and the number of the view.
         geometry: of the call's scene, attached.
-        points, start: (N,) the vertices that see the places, and where they are, detached.
-        met: (N,) the triangles on which the places lie.
-        seen: (N,) the places, attached.
+        points, start: (N,) the viewpoints, and their positions, detached.
+        met: (N,) the triangles on which the border lies.
+        seen: (N,) the border positions, attached.
     """
     near, ways = what_slides(call, number, geometry, points, start, met, seen.map(primal))
     return Vec2(*(place.index_add(0, near, -way) for place, way in zip(seen, ways)))
@@ -38,11 +38,11 @@ def less_what_slides(call: RenderCall, number: int, geometry: Geometry, points: 
 
 def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewpoints, start: Vec3, met: Hit,
                 place: Vec2) -> tuple[Tensor, Vec2]:
-    """Indices of points that slide over triangles, (K,) int64, and the change of their barycentric coordinates; attached.
+    """The indices of points that slide over triangles, (K,) int64, and the change of their barycentrics; attached.
 
     Args:
         call, number, geometry, points, start, met: as for `less_what_slides`.
-        place: (N,) the points, barycentric coordinates, detached.
+        place: (N,) barycentric coordinates of the points, detached.
     """
     if geometry.triangles.plain is None:
         return torch.zeros_like(points.hit.prim[:0], dtype=torch.int64), place.map(lambda c: c[:0])
@@ -54,11 +54,11 @@ def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewp
 
 
 def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, place: Vec2) -> tuple[Tensor, Vec3]:
-    """The share of sliding of points, (N,), and the unit directions in which they are seen; all detached.
+    """The share of sliding of points, (N,), and the unit directions to them from the viewpoints; detached.
 
     Args:
-        standing: the triangles of the vertices, which lie at `start`; -1: they are in a medium.
-        met, place: the triangles of the points, and where on them these are.
+        standing: the triangles of the viewpoints, at positions `start`; -1: in a medium.
+        met, place: the triangles of the points, and their barycentric coordinates.
     """
     corners, own = corners_of(geometry, met), corners_of(geometry, standing)
     reach = interpolated(corners, place.x, place.y) - start

@@ -27,7 +27,8 @@ from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
-    """The lines of surfaces, as of `JumpLines`; (K S,) float64 each, of K shapes the first of each, then the second, ..."""
+    """The texture lines of K shapes, S each, as of `JumpLines`; (K S,) float64: the first of each shape, then the second,
+    ..."""
 
     x: Tensor
     y: Tensor
@@ -39,19 +40,19 @@ class LineTable(NamedTuple):
     most: int  # S
 
     def row(self, prim: Tensor, slot: Tensor | int) -> Tensor:
-        """The rows of the table with the discontinuity lines of triangles' textures, (N,) int64."""
+        """The rows of the table with line number `slot` of the triangles' shapes, (N,) int64."""
         return slot * self.count + self.shape.index_select(0, prim.clamp_min(0))
 
 
 class SmoothParts(NamedTuple):
-    """The smooth surfaces to which the T triangles of a scene belong."""
+    """Which triangles of a scene, T, continue each other smoothly."""
 
     continues: Tensor  # (3 T,) int32, for each side, by opposite corner, the next triangle if the surface is smooth
     part: Tensor  # (T,) int32, equal for triangles of one smooth surface
 
 
 class Surfaces(NamedTuple):
-    """The surfaces of a scene, in place of `SceneTensors`, as functions of lanes read them; detached."""
+    """The surfaces of a scene, used in place of `SceneTensors` by stages; detached."""
 
     triangles: TriangleTable
     layout: NormalsOnly
@@ -60,7 +61,7 @@ class Surfaces(NamedTuple):
 
 
 class CachedSmoothParts(NamedTuple):
-    """Cached smooth parts, with what they depend on."""
+    """The smooth parts of a scene, cached together with what they depend on."""
 
     vertices: Vec3
     meshes: list[Outline]
@@ -72,11 +73,11 @@ KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
-    """The surfaces of a call's scene; smooth parts are cached while the same edges are smooth, wherever vertices move.
+    """The `Surfaces` of a call's scene; smooth parts are cached while the same edges are smooth, even if vertices move.
 
     Args:
         call: detached.
-        meshes: the edges of all of them, in the frames of their vertices.
+        meshes: the edges of all meshes, in the frames of their vertices.
         lines: of textures.
     """
     triangles, known = call.scene.triangles, KNOWN.get(call.module)
@@ -96,11 +97,11 @@ def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None
 
 
 def smooth_parts(meshes: Sequence[Outline], smooth_edges: Sequence[Tensor], count: int, device: torch.device) -> SmoothParts:
-    """Computes which triangles belong to one smooth surface.
+    """Finds which triangles belong to one smooth surface.
 
     Args:
-        meshes: the edges of all of them.
-        smooth_edges: (E,) bool of each: surfaces continue smoothly across them.
+        meshes: the edges of all meshes.
+        smooth_edges: (E,) bool for each mesh: surfaces continue smoothly across the edge.
         count: the number of triangles of the scene.
         device: of the scene.
     """
@@ -117,14 +118,14 @@ def smooth_parts(meshes: Sequence[Outline], smooth_edges: Sequence[Tensor], coun
 
 @stage("geometry")
 def goes_on(geometry: Geometry, outline: Outline) -> Tensor:
-    """(E,) bool: surfaces continue smoothly across edges that are no silhouettes."""
+    """(E,) bool: edges across which the surface continues smoothly."""
     edges = outline.edges
     a, b, *opposite = in_world(geometry, (edges.a, edges.b, *edges.opposite[:2]), None)
     return (edges.count == 2) & (jump_of_creases(outline, a, b, opposite) == 0.0)
 
 
 def connected(joints: Tensor, count: int) -> Tensor:
-    """Connected components: for each of `count` items the least number in its component; `joints`: (2, J) int64 pairs."""
+    """For each of `count` items the least number in its connected component; `joints`: (2, J) int64 pairs."""
     label = torch.arange(count, device=joints.device)
     while True:
         ends = label[joints[0]], label[joints[1]]
@@ -151,7 +152,7 @@ def line_table(lines: Sequence[tuple[JumpLines, ...]], sizes: Sequence[int], dev
 
 
 def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
-    """The cells between texture lines in which hits lie, by the number of the last line of each kind, (N,) float64."""
+    """The cells between texture lines in which hits lie: the number of the last line of each kind, (N,) float64."""
     lines = surfaces.lines
     if lines is None or surfaces.triangles.vertices.uv is None:
         return ()
@@ -162,12 +163,12 @@ def cells_met(surfaces: Surfaces, hit: Hit) -> tuple[Tensor, ...]:
 
 def level_of_line(scene: SceneTensors | Surfaces, lines: LineTable, prim: Tensor, row: Tensor, u: Tensor,
                   v: Tensor) -> Tensor:
-    """The number that is an integer on texture lines, (N,) float64, attached to the surface coordinates.
+    """The value x u + y v + z that is an integer on texture lines, (N,) float64, attached to u and v.
 
     Args:
         prim: (N,) int32, triangles.
         row: (N,) int64, of the table.
-        u, v: (N,) where on the triangles, barycentric, attached.
+        u, v: (N,) barycentric coordinates on the triangles, attached.
     """
     corners = lookup(scene.triangles.corners, prim.clamp_min(0))
     uv = interpolated(at_corners(scene.triangles.vertices.uv, corners), u, v)

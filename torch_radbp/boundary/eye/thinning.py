@@ -17,14 +17,14 @@ TURNS = 4  # of looking for the probability of small ones: more large ones are c
 
 
 def chances(size: Tensor, most: int) -> Tensor:
-    """The probabilities with which to keep about `most` samples; those of size 0 are never kept.
+    """The probabilities with which to keep samples, in proportion to size, so that about `most` are kept; 0 for size 0.
 
     Args:
         size: (N,) float64, not negative.
-        most: about their sum, which is not more, if so many are not 0; else all of these are kept.
+        most: an upper bound of the sum of probabilities, if more sizes are not 0; else all of these are kept.
 
     Returns:
-        (N,) in [0, 1], in proportion to `size` but where that would be more than 1.
+        (N,) in [0, 1], in proportion to `size`, except where that would exceed 1.
     """
     chance = torch.zeros_like(size)
     for _ in range(TURNS):
@@ -36,7 +36,7 @@ def chances(size: Tensor, most: int) -> Tensor:
 
 
 def thinned(chance: Tensor, u: Tensor) -> Tensor:
-    """The indices of kept samples, int64, by systematic sampling with given probabilities.
+    """The indices, int64, of the samples kept by systematic sampling with given probabilities.
 
     Args:
         chance: (N,) float64.

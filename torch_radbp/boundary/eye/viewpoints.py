@@ -52,7 +52,7 @@ OF_TRIED = 0x2F6E2B17  # and those of paths that are tried
 
 
 class Viewpoints(NamedTuple):
-    """M path vertices; detached."""
+    """M path vertices from which edges are sampled; detached."""
 
     pixel: Tensor  # (M,) int32, pixel of the path
     sample: Tensor  # (M,) int32
@@ -68,21 +68,21 @@ class Viewpoints(NamedTuple):
     flight: Flight | None = None  # by which the ray comes there through media, or ends before `hit`; see `Arrival`
     boundary: Hit | None = None  # that it passes last; triangle -1: none; None: rays pass none, or carry no derivatives
     by_chance: Tensor | None = None  # (M,) bool: the ray's direction is entirely random
-    in_mirrors: Tensor | None = None  # (M,) bool: the camera sees the vertex by way of one ideal vertex
+    behind_ideal: Tensor | None = None  # (M,) bool: the camera sees the vertex by way of one ideal vertex
 
     @property
     def in_medium(self) -> Tensor:
-        """(M,) bool: the vertex is where a flight ends in a medium, before the surface that is hit."""
+        """(M,) bool: vertices inside of a medium, before the surface that the ray hits."""
         return torch.zeros_like(self.slides) if self.flight is None else self.flight.t < torch.inf
 
     @property
     def standing(self) -> Hit:
-        """(M,) the surfaces on which vertices stand; triangle -1: they are in a medium."""
+        """(M,) the surfaces that vertices lie on; triangle -1: in a medium."""
         return self.hit._replace(prim=torch.where(self.in_medium, -1, self.hit.prim))
 
 
 class Begun(NamedTuple):
-    """N camera paths that start in cells of the film, for selecting viewpoints."""
+    """N camera paths that start in cells of the film, for selecting viewpoints on them."""
 
     pixel: Tensor  # as of `Viewpoints`
     sample: Tensor
@@ -92,7 +92,7 @@ class Begun(NamedTuple):
 
 
 class PathBatch(NamedTuple):
-    """Camera paths of which one vertex each is sampled."""
+    """How many camera paths are traced to sample one vertex of each, and how they are spread over the film."""
 
     count: int
     density: Tensor | None = None  # (cells,) float64, by which they are spread over the cells of the film; None: evenly
@@ -102,7 +102,7 @@ class PathBatch(NamedTuple):
 
 
 class Picked(NamedTuple):
-    """One selected vertex for each of M paths, for reservoir sampling."""
+    """The selected vertex of each of M paths so far, a state of reservoir sampling."""
 
     total: Tensor  # (M,) sum of the throughputs of candidates
     promise: Tensor  # (M,) throughput of the selected vertex; 0: none yet
@@ -119,7 +119,7 @@ class Picked(NamedTuple):
 
     @staticmethod
     def nothing(state: PathState, instanced: bool) -> Picked:
-        """The reservoir before any vertex was selected; `instanced`: hits have instances."""
+        """The initial state, without a selected vertex; `instanced`: hits have instances."""
         none = torch.full_like(state.lane, -1)
         zero, vector = partial(torch.zeros_like, state.pdf), partial(Vec3.buffer, state.pdf)
         hit = Hit(none.clone(), zero(), zero(), zero(), none.clone() if instanced else None)
@@ -128,7 +128,7 @@ class Picked(NamedTuple):
 
 
 class PathsAtBounce(NamedTuple):
-    """The paths at a bounce, with parts of `wavefront.Step` and `wavefront.Onward`."""
+    """The paths at a bounce, with parts of `Step` and `Onward`."""
 
     state: PathState  # (N,)
     hit: Hit  # (N,)
@@ -140,13 +140,13 @@ class PathsAtBounce(NamedTuple):
 
 
 def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathBatch, following: bool = False) -> Viewpoints:
-    """Samples one vertex per camera path, in proportion to throughput; paths without candidates are dropped.
+    """Samples one vertex of each camera path in proportion to throughput; paths without candidates are dropped.
 
     Args:
-        call, number: of the view.
-        integrand: of the detached scene.
+        call, number: the rendering, and the number of the view.
+        integrand: with a detached scene.
         batch: the paths.
-        following: vertices whose scattered directions carry derivatives are meant; else those after which points are glued.
+        following: select vertices whose scattered directions carry derivatives; else those whose next hits are fixed.
     """
     key, (_, _, begun, tried, ideal) = salted(call.views[number], SALT), batch
     paths = paths_begun(call, number, key, batch)
@@ -176,7 +176,7 @@ def viewpoints(call: RenderCall, number: int, integrand: Integrand, batch: PathB
 
 
 def paths_begun(call: RenderCall, number: int, key: SampleKey, batch: PathBatch) -> Begun:
-    """Starts paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
+    """Starts camera paths that are distributed over the film; args as for `viewpoints`, `key`: of random numbers."""
     view, grid, (count, density, begun, *_) = call.views[number], call.views[number].grid, batch
     sample = torch.arange(begun, begun + count, dtype=torch.int32, device=call.scene.device)
     jitter = uniform_numbers(key, sample, SALT, torch.float64)
@@ -194,7 +194,7 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
 
     Args:
         along: (N,) float64 from 0 to `count`, the number of all paths.
-        cells: how many there are.
+        cells: the number of cells.
         density: as of `PathBatch`.
     """
     if density is None:
@@ -205,11 +205,11 @@ def cells_begun(along: Tensor, count: int, cells: int, density: Tensor | None) -
 
 
 def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, following: bool, ideal: float = 1.0) -> Picked:
-    """Samples one vertex of each path; the last hit is no candidate.
+    """Selects one vertex of each path; the last hit is no candidate.
 
     Args:
-        integrand: of the detached scene.
-        start: of the paths.
+        integrand: with a detached scene.
+        start: the initial path states.
         key: of random numbers.
         following: as for `viewpoints`.
         ideal: as of `PathBatch`.
@@ -238,14 +238,14 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   settings: tuple[bool, float]) -> tuple[Tensor, Picked]:
-    """Updates the selection with the vertices of one bounce: their paths, (N,) int32, and the new selection.
+    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the selection.
 
     Args:
-        picked: of all paths.
+        picked: the selection of all paths.
         reached: the bounce.
-        vertex: (N,) int32, which vertices.
+        vertex: (N,) int32, indices of vertices.
         key, counter: of random numbers, the latter () int32.
-        settings: whether rays are never left to chance; and as `PathBatch.ideal`.
+        settings: whether all directions carry derivatives; and `PathBatch.ideal`.
     """
     attached, ideal = settings
     state, hit, flight, boundary = rows((reached.state, reached.hit, reached.flight, reached.boundary),
@@ -268,7 +268,7 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
 
 
 def flown(step: Step) -> tuple[Flight | None, Hit | None]:
-    """The flights of a bounce, and the boundaries that rays pass last, as of `Viewpoints`."""
+    """How far the rays of a bounce come through media, and the last boundary that each passes, as in `Viewpoints`."""
     flight = step.flight
     if flight is None or flight.crossings is None:
         return flight, None
@@ -279,13 +279,13 @@ def flown(step: Step) -> tuple[Flight | None, Hit | None]:
 
 
 def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
-    """(N,) bool: hits on triangles with plain materials; see `vertex.nearby`."""
+    """(N,) bool: hits on triangles of plain materials, over which points may slide; see `vertex.nearby`."""
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
 def scatters_as(integrand: Integrand, event: Event, following: bool) -> bool:
-    """True if an event's scattering has differentiated directions (`following`), or else hits that are fixed to surfaces; in
-    media only the latter are looked for."""
+    """True if an event scatters into directions that carry derivatives (`following`), or else with next hits that are fixed
+    to surfaces; in media only the latter is possible."""
     scatterer, settings = integrand.scatterer(event), integrand.settings
     if scatterer is None:
         return not following and settings.sampling != "attached"
@@ -294,22 +294,22 @@ def scatters_as(integrand: Integrand, event: Event, following: bool) -> bool:
 
 
 def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
-    """The viewpoints, which lie `at` (M,) world, with weights of directions; `lobes`: beside those that scatter."""
+    """The viewpoints at positions `at`, (M,) world, as `Eyes` that prefer the BSDF's directions and those of `lobes`."""
     one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
     normal = masked(~points.in_medium, unit_normal(corners[1] - corners[0], corners[2] - corners[0]))
     return Eyes(at, one, normal, one, torch.where(points.in_medium, 1.0, EVEN * one), (points.lobe, *lobes))
 
 
 def vertex_at(call: RenderCall, geometry: Geometry, number: int, points: Viewpoints) -> Vec3:
-    """The viewpoints, (M,) world, attached: they slide along their rays, or are fixed to triangles."""
+    """The positions of viewpoints, (M,) world, attached: they slide along their rays, or are fixed to triangles."""
     ray = arriving(call, number, points)
     at = vertex_on(geometry, points, ray)
     return at if points.flight is None else where(points.in_medium, flown_to(call, points, ray), at)
 
 
 def flown_to(call: RenderCall, points: Viewpoints, ray: Ray) -> Vec3:
-    """Where flights end in media, (M,) world, attached. Of those alone that do; args as for `vertex_on`, which serves the
-    others."""
+    """The positions of viewpoints in media, (M,) world, attached; undefined for those on surfaces. Args as for
+    `vertex_on`."""
     flight, boundary = points.flight._replace(t=torch.where(points.in_medium, points.flight.t, 0.0)), points.boundary
     if boundary is not None:
         flight = flight._replace(crossings=(BoundaryCrossing(boundary, flight.medium, flight.medium),))
@@ -317,14 +317,14 @@ def flown_to(call: RenderCall, points: Viewpoints, ray: Ray) -> Vec3:
 
 
 def flown_along(call: RenderCall, ray: Ray, key: LaneKey, hit: Hit, flight: Flight) -> Vec3:
-    """Where flights end in media, (N,) world, float64, attached: they keep their share of the way from the last boundary to
-    the surface ahead.
+    """The points in media where flights end, (N,) world, float64, attached: they keep their share of the way from the last
+    boundary to the surface ahead.
 
     Args:
         call: attached.
         ray, key: (N,) of the flights, attached.
         hit: (N,) the surfaces ahead.
-        flight: (N,) all of which end before.
+        flight: (N,) flights, all of which end before these.
     """
     arrival, t = Arrival(path_of(call, ray, key), hit, None, flight=flight), flight.t
     for medium in call.scene.layout.scattering_media:
@@ -335,7 +335,7 @@ def flown_along(call: RenderCall, ray: Ray, key: LaneKey, hit: Hit, flight: Flig
 
 
 def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:
-    """The viewpoints, (M,) world, from rays `ray` (M,) that hit them, attached."""
+    """The positions of viewpoints on surfaces, (M,) world, attached: on the rays, or fixed to the triangles hit."""
     corners = corners_of(geometry, points.hit)
     glued = interpolated(corners, points.hit.u.double(), points.hit.v.double())
     ray = Ray(*(part.map(torch.Tensor.double) for part in ray))
@@ -347,7 +347,7 @@ def vertex_on(geometry: Geometry, points: Viewpoints, ray: Ray) -> Vec3:
 
 
 def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: bool = False) -> Ray:
-    """The rays that hit the viewpoints, attached if not random, or if `all_of_them`."""
+    """The rays that hit the viewpoints, attached if their direction is not random, or if `all_of_them`."""
     view, cones = call.views[number], call.scene.layout.traces_cones
 
     def begun(chosen: Viewpoints) -> CameraSample:
@@ -366,7 +366,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
 
 
 def path_of(call: RenderCall, ray: Ray, key: LaneKey) -> PathState:
-    """Path states that start with rays whose directions are not random."""
+    """The path states at the start of rays whose directions are not random."""
     cone = None
     if call.scene.layout.traces_cones:
         cone = Cone(torch.zeros_like(ray.d.x), torch.zeros_like(ray.d.x))

@@ -26,7 +26,7 @@ SALT = 0x6A09E667  # tells the random numbers of eyes that are tried from others
 
 def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each: int, extent: Tensor,
               tried: Tensor | None = None) -> Descent:
-    """Descends the tree to the last nodes; args as for `seen_edges.places_seen`, and `extent`: () of the scene."""
+    """Descends the tree from all viewpoints to the last nodes; args as for `places_seen`, and `extent`: () of the scene."""
     way = numbers_to(each * len(eyes.w), tree.slots)
     eye, shift = torch.div(way, each, rounding_mode="floor"), hash32(seed.seed)
     if tried is not None:
@@ -41,7 +41,7 @@ def ways_down(stages: Stages, tree: EdgeTree, eyes: Eyes, seed: SampleKey, each:
 
 
 class EdgeLot(NamedTuple):
-    """The edges that K descents have found, and the distribution of samples over them."""
+    """The edges that K descents have found, and a distribution of samples over them."""
 
     found: PickedEdges
     eye: Tensor  # (K,) int32, viewpoint of each
@@ -50,10 +50,10 @@ class EdgeLot(NamedTuple):
 
 def lot_of_found(found: PickedEdges, eye: Tensor, each: int, count: int,
                  tried: Tensor | None = None) -> tuple[EdgeLot, Tensor] | None:
-    """The distribution of `count` samples over found edges, and their numbers, int32; None: nothing was found.
+    """A distribution of `count` samples over the edges found, and the samples' numbers, int32; None: nothing was found.
 
     Args:
-        each: descents per viewpoint.
+        each: the number of descents per viewpoint.
         tried: as for `seen_edges.places_seen`.
     """
     own = None if tried is None else rows(tried, eye)
@@ -70,13 +70,13 @@ def lot_of_found(found: PickedEdges, eye: Tensor, each: int, count: int,
 
 
 def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tuple[Tensor, int]:
-    """Scales weights so that pilot and other samples have separate numbers of samples; and the new number.
+    """The weights, scaled so that pilot and other samples get separate numbers of samples; and the total number.
 
     Args:
-        weight: (N,) as it is.
-        tried: (N,) bool; these come first.
-        count: of the places, at most.
-        share: of these that is for what is tried.
+        weight: (N,) the weights before.
+        tried: (N,) bool, of pilot samples, which come first.
+        count: the greatest number of samples.
+        share: the fraction of it for pilot samples.
     """
     places, scaled = 0, torch.zeros_like(weight)
     for among, most in ((tried, count * share), (~tried, count * (1.0 - share))):
@@ -90,7 +90,7 @@ def weights_apart(weight: Tensor, tried: Tensor, count: int, share: float) -> tu
 
 
 class PickedEdges(NamedTuple):
-    """The edges that N descents have found."""
+    """The edges that N descents of the tree have found."""
 
     edge: Tensor  # (N,) int32; -1: no silhouette
     times: Tensor  # (N,) float64, weight: number of edges that it stands for
@@ -98,7 +98,7 @@ class PickedEdges(NamedTuple):
 
 
 def found_among(slots: Tensor, at: Descent, first: Tensor, angles: Sequence[Tensor]) -> PickedEdges:
-    """The edges found by descents in the slots of the last nodes, `GROUP` from `first` on, with their angles."""
+    """The edge that each descent samples among the `GROUP` slots from `first` on, by the angles that they subtend."""
     place, share, _ = picked_by_weight(angles, at.u)
     angle = torch.zeros_like(share)
     for number, its in enumerate(angles):

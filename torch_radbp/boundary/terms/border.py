@@ -53,18 +53,17 @@ from torch_radbp.boundary.eye.seen_edges import (
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at
 from torch_radbp.boundary.eye.viewpoints import path_of
 from torch_radbp.boundary.eye.ways_down import lot_of_found
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.shadow_term import (
     CutOff,
     ShadowTerm,
     TermSize,
     cut_off,
     films_have_area,
-    follows_mirrors,
     shadow_term,
 )
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.call.view import View
-from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
@@ -73,7 +72,6 @@ from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.stage import EAGER, Stages, stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
@@ -85,84 +83,8 @@ FEW = 1024  # light samples of a warning
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
 
-class Lights(NamedTuple):
-    """Which kinds of lights a shadow term covers."""
-
-    sharp: bool  # lights without extent
-    soft: bool  # area lights
-    around: bool  # the environment
-
-    @staticmethod
-    def covered(call: RenderCall) -> Lights:
-        """The lights whose borders `DirectShadows` samples; along single rays, which see no borders, those of none."""
-        if not films_have_area(call):
-            return Lights(False, False, False)
-        lights = Lights.sampled_whole(call)
-        # Where rays pass boundaries of media others are seen by all vertices alike.
-        return lights._replace(soft=False, around=False) if call.scene.layout.traces_segments else lights
-
-    @staticmethod
-    def bounced(call: RenderCall) -> Lights:
-        """The lights whose borders `BouncedShadows` samples, on surfaces that paths meet by chance after the first.
-
-        What comes from all around alike is better found by who sees it, and so are lamps behind boundaries of media.
-        """
-        lights = Lights.sampled_whole(call) if call.integrand.max_depth > 2 else Lights(False, False, False)
-        soft = lights.sharp and lights.soft and not call.scene.layout.traces_segments
-        return Lights(lights.sharp, soft, False)
-
-    @staticmethod
-    def mirrored(call: RenderCall) -> Lights:
-        """The lights whose borders `reflections.py` scans the film for, on surfaces seen by way of ideal vertices.
-
-        Of soft lights by way of one coat: few paths choose it, and single ones would bring much. What mirrors and glass
-        show all paths see, and vertices find with less noise.
-        """
-        lights, layout = Lights.sampled_whole(call), call.scene.layout
-        if call.integrand.max_depth < 3 or not follows_mirrors(call) or layout.traces_segments:
-            return Lights(False, False, False)
-        settings, in_media = call.integrand.settings, layout.scattering_media or layout.emitting_media
-        coats = all(look.kind.smooth for look in layout.appearances if look.kind.delta)
-        glued = settings.sampling == "hybrid" and not settings.following
-        return Lights(lights.sharp, lights.sharp and lights.soft and coats and glued and not in_media, False)
-
-    @staticmethod
-    def with_shafts(call: RenderCall) -> Lights:
-        """The lights whose shafts in media `Shafts` samples; single rays of cameras see of others what vertices see."""
-        lights = Lights.sampled_whole(call)
-        return lights if films_have_area(call) else lights._replace(soft=False, around=False)
-
-    @staticmethod
-    def sampled_whole(call: RenderCall) -> Lights:
-        """The lights all of whose light is that of light samples."""
-        emitters, lights, layout = call.module.emitters, call.scene.lights, call.scene.layout
-        surfaces, around = (all(emitter.sampled_whole() for emitter in emitters if emitter.kind().surround == around)
-                            for around in (False, True))
-        if layout.surround is not None:
-            number, kind = layout.surround
-            around = around and not kind.even(detached(lights.tables[number]))
-        return Lights(call.integrand.settings.nee, surfaces, around or layout.surround is None)
-
-    @staticmethod
-    def uncovered(call: RenderCall) -> Lights:
-        """The lights of some extent whose borders `DirectShadows` does not sample."""
-        covered = Lights.covered(call)
-        return Lights(False, not covered.soft, not covered.around)
-
-    def covers(self, kind: LightKind) -> bool:
-        """Whether a kind of light is covered."""
-        return self.sharp if kind.delta else self.around if kind.surround else self.soft
-
-    def of(self, scene: SceneTensors) -> Tensor:
-        """For each kind of light in a scene, whether it is covered; bool."""
-        return torch.tensor([self.covers(kind) for kind in scene.layout.lights], device=scene.device)
-
-
-SOFT = Lights(False, True, True)
-
-
 class Borders(NamedTuple):
-    """N samples on shadow borders; detached."""
+    """N samples on shadow borders: where light that passes an edge meets its receiver; detached."""
 
     edge: Tensor  # (N,) int32, casting edge of the outline
     along: Tensor  # (N,) float64, position along the edge, from a to b
@@ -171,7 +93,7 @@ class Borders(NamedTuple):
 
 
 class LitEdges(NamedTuple):
-    """N samples on edges as seen from M light samples, before their light is traced on to a surface."""
+    """N samples on edges as seen from M light samples, before the light is traced on to receivers."""
 
     passed: Passed  # with light samples as viewpoints
     draw: LightDraw  # (M,)
@@ -180,7 +102,7 @@ class LitEdges(NamedTuple):
 
 
 class CastShadows(NamedTuple):
-    """N samples on shadow borders, with their weights."""
+    """N samples on shadow borders, with the edges that cast these, and weights."""
 
     borders: Borders
     passed: Passed  # how light passes the edges
@@ -189,7 +111,7 @@ class CastShadows(NamedTuple):
 
 
 class BordersInView(NamedTuple):
-    """K samples on borders that a view sees; detached."""
+    """K samples on shadow borders that the camera of a view sees; detached."""
 
     borders: Borders
     aperture: Vec2 | None  # of the rays that see them
@@ -197,7 +119,7 @@ class BordersInView(NamedTuple):
 
 @shadow_term
 class DirectShadows(ShadowTerm):
-    """Borders of shadows on surfaces that the camera sees."""
+    """The boundary term of shadow borders on surfaces that the camera sees."""
 
     rank = 0
 
@@ -269,15 +191,15 @@ class DirectShadows(ShadowTerm):
 
 def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec3:
-    """The points at which shadows end on their receivers' planes, (N,) world, attached.
+    """The points at which the shadows of edges end on their receivers' planes, (N,) world, attached.
 
     Args:
         scene: attached.
-        geometry: its.
+        geometry: of the scene, attached.
         outline: the edges.
-        borders: the places.
-        step: by which share of the edges' lengths others lie that are meant.
-        off: (N,) by which others lie off the edges; None: by nothing.
+        borders: the samples.
+        step: a shift of the samples along the edges, as a share of their lengths.
+        off: (N,) a shift of the samples off the edges; None: none.
     """
     corners = corners_of(geometry, borders.receiver)
     return interpolated(corners, *crossed_at(corners, light_through(scene, geometry, outline, borders, step, off)))
@@ -285,36 +207,36 @@ def border(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: B
 
 def light_through(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float,
                   off: Vec3 | None) -> Ray:
-    """The rays of light that pass edges on their way to the borders; args as for `border`."""
+    """The rays of light that pass edges on their way to receivers; args as for `border`."""
     p = point_of_edge(geometry, outline, borders.edge, borders.along + step)
     start, d, _ = light_line(scene, p if off is None else p + off, borders.draw)
     return Ray(start, d)
 
 
 def share_of(scene: SceneTensors) -> int:
-    """The number of image paths per border sample."""
+    """The number of image paths for each sample on shadow borders."""
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
 def samples_of(call: RenderCall, view: View, share: int) -> int:
-    """The number of samples on borders for a view, one for `share` paths of its image."""
+    """The number of samples on shadow borders for a view, one for `share` paths of its image."""
     return max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
 
 
 def most_samples(call: RenderCall) -> int:
-    """The greatest number of samples on borders of direct shadows for a view."""
+    """The greatest number of samples on direct shadow borders for a view."""
     return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
 
 
 class EdgesFromLights:
-    """Samples of edges that cast shadows, shared by terms of a view that ask for the same ones; `call`: detached."""
+    """Samples of edges as seen from lights, cached for terms that need the same ones; `call`: detached."""
 
     def __init__(self, call: RenderCall, casting: Casting):
         self.call, self.casting = call, casting
         self.last: tuple[tuple, LitEdges | None] | None = None  # what was asked for last, and the samples
 
     def lit(self, number: int, lights: Lights, share: int) -> LitEdges | None:
-        """The samples of `lit_edges`; args and result as there."""
+        """The samples of `lit_edges`, cached; args and result as there."""
         asked = number, share, [lights.covers(kind) for kind in self.call.scene.layout.lights]
         if self.last is None or self.last[0] != asked:
             self.last = asked, lit_edges(self.call, number, self.casting, lights, share)
@@ -326,10 +248,10 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
 
     Args:
         call: detached.
-        number: of the view whose samples these are.
+        number: of the view.
         casting: the edges.
-        lights: whose shadows are meant.
-        share: one place for so many paths of the image.
+        lights: the lights whose shadows are sampled.
+        share: the number of image paths for each sample.
     """
     view, scene = call.views[number], call.scene
     points = light_points(call.stages, scene, view, samples_of(call, view, share))
@@ -345,13 +267,13 @@ def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, s
 
 
 def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
-    """The shadow borders of samples on edges; `receiver`: the surfaces beyond these."""
+    """The shadow borders of samples on edges; `receiver`: the surfaces on which the light falls beyond these."""
     borders = Borders(passed.edge, passed.along, rows(lit.draw, passed.eye), receiver)
     return CastShadows(borders, passed, passed.outwards * (-BESIDE * extent_of(geometry)), passed.times / lit.count)
 
 
 def borders_of(edges: EdgesFromLights, number: int, lights: Lights, share: int) -> CastShadows | None:
-    """Samples shadow borders, visible to view `number` or not; None: there are none. Args as for `lit_edges`."""
+    """Samples shadow borders, visible to view `number` or not; None: there are none. Other args as for `lit_edges`."""
     call, lit = edges.call, edges.lit(number, lights, share)
     if lit is None:
         return None
@@ -362,7 +284,7 @@ def borders_of(edges: EdgesFromLights, number: int, lights: Lights, share: int) 
 
 def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,
                count: int) -> Passed | None:
-    """Samples on edges as light samples see them; args and result as for `places_seen`."""
+    """Samples points on edges as light samples see them; args and result as for `places_seen`."""
     each, outline = eyes_for_each(casting.outline, eyes, LOOKS), casting.outline
     if not each:
         return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
@@ -373,20 +295,20 @@ def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes,
 @stage("scene", "geometry", "outline", "camera")
 def border_on_film(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                    aperture: Vec2 | None) -> Vec2:
-    """The points of shadow borders on the film, (N,) pixels, attached; args as for `border_course`, attached."""
+    """The film positions of shadow borders, (N,) pixels, attached; args as for `border_course`, attached."""
     return on_film(camera, border(scene, geometry, outline, borders), aperture)
 
 
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                   inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> tuple[Vec3, Course]:
-    """The points of shadow borders, world, and the borders' course on the film, 0 outside of all pixels.
+    """The points of shadow borders, world, and the borders' `Course` on the film, with normals 0 outside of all pixels.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.
-        camera: that sees them.
+        camera: the camera that sees them.
         inwards, times: (N,) as of `CastShadows`.
-        aperture: (N,) of the rays that see them.
+        aperture: (N,) points of the lens.
     """
     def seen(step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
         return on_film(camera, border(scene, geometry, outline, borders, step, off), aperture)

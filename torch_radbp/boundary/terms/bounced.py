@@ -29,7 +29,8 @@ from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, Lights, light_through, samples_of, shadows_cast
+from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, light_through, samples_of, shadows_cast
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
@@ -45,7 +46,7 @@ SALT = 0x2B3E6C1F  # tells the random numbers that connect borders with paths fr
 
 
 class ConnectedBorders(NamedTuple):
-    """K samples on borders, each connected to a path vertex; detached."""
+    """K samples on shadow borders, each connected to a path vertex that sees it; detached."""
 
     points: Viewpoints  # the path vertices
     start: Vec3  # their world positions
@@ -54,7 +55,7 @@ class ConnectedBorders(NamedTuple):
 
 @shadow_term
 class BouncedShadows(ShadowTerm):
-    """Borders of light samples on surfaces that paths meet after the first, glued to them."""
+    """The boundary term of shadow borders on surfaces that path vertices see, for light of light samples."""
 
     rank = 5
     through_media = True
@@ -90,12 +91,12 @@ class BouncedShadows(ShadowTerm):
 
 def on_receiver(scene: SceneTensors, geometry: Geometry, outline: Outline, borders: Borders, step: Tensor | float = 0.0,
                 off: Vec3 | None = None) -> Vec2:
-    """The barycentric coordinates on receivers at which shadows end, (N,), attached; args as for `border`."""
+    """The barycentric coordinates at which shadows end on receivers, (N,), attached; args as for `border`."""
     return crossed_at(corners_of(geometry, borders.receiver), light_through(scene, geometry, outline, borders, step, off))
 
 
 class ConnectedPlaces(NamedTuple):
-    """N samples on borders, each paired with a path vertex; detached."""
+    """N samples on shadow borders, each paired with a path vertex, with weights; detached."""
 
     points: Viewpoints  # the path vertices
     start: Vec3  # their world positions
@@ -106,20 +107,20 @@ class ConnectedPlaces(NamedTuple):
 
 
 def borders_bounce(call: RenderCall) -> bool:
-    """True if there are lights whose borders are looked for at later vertices."""
+    """True if there are lights whose shadow borders are sampled at later path vertices."""
     return any(map(Lights.bounced(call).covers, call.scene.layout.lights))
 
 
 def bounced_samples(call: RenderCall) -> int:
-    """The greatest number of samples on such borders for a view."""
+    """The greatest number of samples on shadow borders at later path vertices, for a view."""
     return max(samples_of(call, view, SHARE) for view in call.views)
 
 
 def pairs_of(edges: EdgesFromLights, number: int, lights: Lights, following: bool) -> ConnectedPlaces | None:
-    """Samples borders, each paired with a path vertex of view `number`; None: there are none.
+    """Samples shadow borders, each paired with a path vertex of view `number`; None: there are none.
 
     Args:
-        edges: that cast shadows.
+        edges: the edges that cast shadows.
         number, lights: as for `border.lit_edges`.
         following: as for `viewpoints`.
     """
@@ -148,7 +149,7 @@ def pairs_of(edges: EdgesFromLights, number: int, lights: Lights, following: boo
 
 
 class Way(NamedTuple):
-    """Connections from path vertices to borders, (N,)."""
+    """The connections from path vertices to points on borders, (N,)."""
 
     ray: Ray  # in the rays' dtype
     reach: Vec3  # vector, float64
@@ -169,13 +170,13 @@ def way_to(start: Vec3, x: Vec3, dtype: torch.dtype) -> Way:
 
 def light_sent_on(call: RenderCall, integrand: Integrand, points: Viewpoints, borders: Borders, way: Way,
                   passed: Passed) -> Tensor:
-    """(3, N) float64 radiance that path vertices receive from unshadowed points at borders.
+    """(3, N) float64 radiance that path vertices receive from the lit side of shadow borders.
 
     Args:
         points: the vertices.
-        borders: that they are connected to.
-        way: to these.
-        passed: the edges that light passes on its way there.
+        borders: the borders.
+        way: the connections to these.
+        passed: the edges that light passes on its way to the borders.
     """
     dtype, key = integrand.proposal.dtype, passed.key
     if integrand.proposal.layout.traces_segments:

@@ -61,7 +61,7 @@ LOOKS, PLACES = 4, 2  # for segments from each vertex, and places on segments th
 
 
 class Sheets(NamedTuple):
-    """N surfaces at points where other surfaces intersect them; detached, float64 but for integers."""
+    """N surfaces that others intersect, at points of the intersection, as viewpoints see them; detached, float64."""
 
     triangle: Tensor  # (N,) int32
     instance: Tensor | None  # (N,) int32, that shows it
@@ -85,7 +85,7 @@ class CrossedOfView(NamedTuple):
 
 @shadow_term
 class CrossedSurfaces(ShadowTerm):
-    """Intersections of surfaces, and lines that slide over these, as vertices of paths see them."""
+    """The boundary term of surface intersections, and of lines that slide over surfaces, as path vertices see them."""
 
     rank = 8
     needs = "crossing",
@@ -99,7 +99,7 @@ class CrossedSurfaces(ShadowTerm):
 
     @cached_property
     def curves(self) -> SegmentTree:
-        """The curves, and a tree over them."""
+        """The intersection segments and sliding lines, and a tree over them."""
         return segment_tree(self.still.stages, geometry_of(self.still.scene), self.crossing)
 
     def samples(self, number: int) -> CrossedOfView | None:
@@ -147,13 +147,13 @@ class CrossedSurfaces(ShadowTerm):
 
 
 def surfaces_shine(scene: SceneTensors, segments: Segments) -> bool:
-    """True if one of the surfaces that pass through each other emits light, which all vertices of paths receive straight."""
+    """True if one of the intersecting surfaces emits light, which path vertices receive directly."""
     return any(bool(((rows(scene.triangles.emitter, triangle.clamp_min(0)) >= 0) & (triangle >= 0)).any())
                for triangle, _ in surfaces_along(segments))
 
 
 def hit_at(sheets: Sheets, place: Vec2, dtype: torch.dtype) -> Hit:
-    """Hits at points of surfaces, (N,) barycentric, at distance 0."""
+    """Hits on the surfaces at given barycentric coordinates, (N,), at distance 0."""
     u, v = (part.to(dtype) for part in place)
     return Hit(sheets.triangle, u, v, torch.zeros_like(u), sheets.instance)
 
@@ -165,9 +165,9 @@ def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed
 
     Args:
         geometry: of the scene, detached.
-        segments: (S,).
-        at: (M,) eyes, world.
-        passed: (N,) the places as these see them.
+        segments: (S,) the segments.
+        at: (M,) world positions of the viewpoints.
+        passed: (N,) samples on segments as these see them.
         extent: () of the scene.
     """
     own, eye = rows(segments, passed.edge), rows(at, passed.eye)
@@ -196,7 +196,7 @@ def sheets_seen(geometry: Geometry, segments: Segments, at: Vec3, passed: Passed
 
 
 def direction_on(corners: Corners, d: Vec3) -> Vec2:
-    """The barycentric coordinates of directions in the planes of triangles; (N,)."""
+    """The changes of barycentric coordinates along directions d in the planes of triangles; (N,)."""
     one, two = corners[1] - corners[0], corners[2] - corners[0]
     n = cross(one, two)
     squared = dot(n, n).clamp_min(TINY)

@@ -26,7 +26,7 @@ MOST_TURNS = 16
 
 
 class Crossings(NamedTuple):
-    """K points of the film at which scans cross curves."""
+    """K points of the film at which scans cross discontinuity curves."""
 
     low: Vec2  # neighbouring points on either side; pixels from the upper left corner of the window
     high: Vec2
@@ -41,7 +41,7 @@ class Crossings(NamedTuple):
 
 
 class ScanSteps(NamedTuple):
-    """N steps between points of scans, and the difference of the paths from both ends."""
+    """N steps between points of scans, and how the paths from both ends differ."""
 
     ends: Pairing
     times: Tensor  # (N,) float64, see `Crossings`
@@ -49,11 +49,11 @@ class ScanSteps(NamedTuple):
 
 
 def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | None:
-    """Finds crossings of scans and curves, at most one for each step of a scan; None: there are none.
+    """Finds crossings of scans and curves by bisection, at most one for each step of a scan; None: there are none.
 
     Args:
         scans: of the view.
-        lot: another number for other scans, of which random numbers are made.
+        lot: the number of this part of all scans, for random numbers.
     """
     count, points = len(scans.times), points_of(scans)
     path, ends = paths_from(searched, points), neighbours(count, scans.times.device)
@@ -88,7 +88,7 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
 
 def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
                         turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Divides only steps that cross a horizon, outline or rim of an ideally scattering surface; args as for `divided`."""
+    """Divides only the steps that cross a horizon, outline or rim of an ideal surface; otherwise as `divided`."""
     (first, second), _, found = pairs
     begin = begins(path)
     outline = ((found.kind == SURFACE) | (found.kind == RIM)) & (found.depth == 0) & (begin[first] | begin[second])
@@ -101,7 +101,7 @@ def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath,
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:
-    """Uniform random numbers for bisections, float64, different in each turn."""
+    """Uniform random numbers for bisections, (count,) float64, different in each turn."""
     lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
     key = salted(searched.call.views[searched.number], SALT + 2)
     return searched.call.stages(drawn_by_steps)(key, lane, torch.full_like(key.seed, SALT + turn))
@@ -113,15 +113,15 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
 
     Args:
         key: of the view.
-        lane: (N,) int32.
-        counter: () int32, a different one for each step of the bisection.
+        lane: (N,) int32, the numbers of the steps.
+        counter: () int32, different in each turn of the bisection.
     """
     return uniform_numbers(key, lane, counter, torch.float64)
 
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
             turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Divides steps whose ends differ: of several differing parts one at random; returns new points and paths, too."""
+    """Replaces each step whose ends differ with a random part whose ends differ; returns points, paths and steps."""
     count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
     shares = [part / PARTS for part in range(1, PARTS)]

@@ -36,7 +36,7 @@ ROUNDED = 2e-5  # the same as a share of the distance, for the rounding of what 
 
 
 class TriangleSide(NamedTuple):
-    """One side of a triangle for each lane, (K,)."""
+    """A side of a triangle for each lane, (K,)."""
 
     prim: Tensor  # int32, the triangle
     instance: Tensor | None  # int32
@@ -55,7 +55,7 @@ class Curves(NamedTuple):
 
 
 def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tensor]:
-    """Identifies the curves at crossings, and (K,) bool which are known; of edges the nearest to the rays."""
+    """Identifies the curves at crossings, of edges the nearest to the rays; and (K,) bool: this was possible."""
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
     rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
@@ -82,7 +82,7 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
 
 
 class SeenSide(NamedTuple):
-    """One side of a triangle for each lane, (K,), as two neighbouring rays pass it."""
+    """A side of a triangle for each lane, (K,), and how two neighbouring rays pass it."""
 
     side: TriangleSide
     near: Tensor  # bool: it may pass between the two
@@ -93,15 +93,15 @@ class SeenSide(NamedTuple):
 
 
 def nearest_side(geometry: Geometry, continues: Tensor, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
-    """The side nearest to two neighbouring rays among those of a hit triangle; and (K,) bool: it may pass between them.
+    """Of a hit triangle's sides the nearest to two neighbouring rays, and (K,) bool: it may pass between them.
 
-    A side across which a surface goes on hides nothing, unless it lies between the two hits. Where a smooth surface turns
-    away, its outline may be at a triangle beside that which is hit; if it is not found, a side of what is nearer stands for
-    it.
+    A side across which a surface continues hides nothing, unless it lies between the two hits. Where a smooth surface turns
+    away, its outline may be at a triangle beside the one that is hit; if it is not found, a side of the nearer triangle is
+    taken.
 
     Args:
-        continues: of `SmoothParts`.
-        rays, hits: of two neighbouring paths.
+        continues: as of `SmoothParts`.
+        rays, hits: the two neighbouring rays, and what they hit.
     """
     one, other = hits
     first_hides, sides = (one.prim >= 0) & ((other.prim < 0) | (one.t <= other.t)), []
@@ -130,7 +130,7 @@ def nearest_side(geometry: Geometry, continues: Tensor, rays: list[Ray], hits: l
 
 def _sides_of(geometry: Geometry, continues: Tensor, rays: list[Ray], prim: Tensor, instance: Tensor | None,
               beyond: Tensor) -> list[SeenSide]:
-    """The sides of triangles, -1: none; `beyond`: the triangles that the other ray hits."""
+    """The sides of triangles `prim`, -1: none; `beyond`: the triangles that the other ray hits."""
     own, met, seen = _corners_of(geometry, prim, instance), prim >= 0, []
     for number in range(3):
         a, b = own[(number + 1) % 3], own[(number + 2) % 3]
@@ -146,7 +146,7 @@ def _sides_of(geometry: Geometry, continues: Tensor, rays: list[Ray], prim: Tens
 
 
 def nearest_of(sides: list[SeenSide]) -> SeenSide:
-    """Of some sides the nearest that is seen between the rays; else that hides something; else that is near."""
+    """The nearest side that is seen between the two rays; else one that hides something; else one that is close to them."""
     best = sides[0]
     for side in sides[1:]:
         rank, best_rank = (own.near.int() + own.hides.int() + own.between.int() for own in (side, best))
@@ -157,13 +157,13 @@ def nearest_of(sides: list[SeenSide]) -> SeenSide:
 
 
 def passes_near(rays: list[Ray], off: Tensor, reach: Tensor) -> Tensor:
-    """(N,) bool: what is so far off the first of two neighbouring rays, after some way, may pass between them."""
+    """(N,) bool: what lies `off` the first of two neighbouring rays, at distance `reach`, may be between the two."""
     apart = rays[1].o + rays[1].d * reach - rays[0].o - rays[0].d * reach
     return off <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * reach
 
 
 def seen_between(rays: list[Ray], a: Vec3, b: Vec3) -> Tensor:
-    """(N,) bool: segments from a to b are seen between two neighbouring rays."""
+    """(N,) bool: segments from a to b that pass between two neighbouring rays."""
     (level, share), (other_level, other_share) = [_passed_at(ray, a, b) for ray in rays]
     change = level - other_level
     share = share + (other_share - share) * (level / torch.where(change != 0, change, 1.0))
@@ -171,18 +171,18 @@ def seen_between(rays: list[Ray], a: Vec3, b: Vec3) -> Tensor:
 
 
 def _passed_at(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
-    """On which side of lines from a to b rays pass these, by the sign, and at which share of the way."""
+    """The side on which rays pass the lines from a to b, by its sign, and the position along these as a share of b - a."""
     w, e = a - ray.o, b - a
     across = e - ray.d * dot(e, ray.d)
     return dot(cross(e, ray.d), w), -dot(w, across) / dot(across, across).clamp_min(TINY)
 
 
 def sides_of_curves(searched: Searched, crossed: Crossings, rays: list[Ray]) -> tuple[list[Ray], list[Hit]]:
-    """Rays beside crossed curves, and what they hit: of borders of shadows those to the light.
+    """Rays on both sides of crossed curves, and what they hit; for shadow borders these are shadow rays.
 
     Args:
         searched, crossed: as for `curves_crossed`.
-        rays: that see the curves from either side, float64.
+        rays: the camera paths' rays on either side, float64.
     """
     shadows = (crossed.kind == differences.SHADOW).nonzero().squeeze(1)
     hits = [crossed.below.hit, crossed.above.hit]
@@ -206,22 +206,22 @@ def _in_double(ray: Ray) -> Ray:
 
 
 def _corners_of(geometry: Geometry, prim: Tensor, instance: Tensor | None) -> Corners:
-    """The corners of triangles, (N,) int32, in the world, attached; float64. Of any triangle for -1."""
+    """The corner positions of triangles, (N,) int32, in the world, attached; float64. For -1, those of any triangle."""
     return positions(geometry, _between(geometry, prim), instance)
 
 
 def _normal_of(corners: Corners) -> Vec3:
-    """The normals of triangles, not of unit length."""
+    """The normals of triangles, of any length."""
     return cross(corners[1] - corners[0], corners[2] - corners[0])
 
 
 def _between(geometry: Geometry, prim: Tensor) -> Between:
-    """The three vertices that a curve inside of triangles depends on, as rows of the vertex table."""
+    """The three vertices of triangles, as rows of the vertex table."""
     return Between(*lookup(geometry.triangles.corners, prim.clamp_min(0)))
 
 
 def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
-    """The distance of segments from a to b from rays, (N,), and the distance along these."""
+    """The distances of segments from a to b from rays, (N,), and where along the rays these are."""
     w, e = a - ray.o, b - a
     w_along, e_along = dot(w, ray.d), dot(e, ray.d)
     w, e = w - ray.d * w_along, e - ray.d * e_along
@@ -232,20 +232,20 @@ def distance_to_side(ray: Ray, a: Vec3, b: Vec3) -> tuple[Tensor, Tensor]:
 
 
 def _inside(corners: Corners, ray: Ray) -> Tensor:
-    """(N,) bool: rays that cross their triangle inside of its edges."""
+    """(N,) bool: rays that cross the inside of triangles."""
     u, v = crossed_at(corners, ray)
     return (u > 0) & (v > 0) & (u + v < 1)
 
 
 def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray, draw: LightDraw | None) -> Tensor:
-    """The level functions of curves, (K,) float64, attached: 0 on the curves.
+    """The values of the level functions of curves, (K,) float64, attached: 0 on the curves.
 
     Args:
         scene: attached.
         lines: of textures.
-        curves: (K,).
-        ray: by which they are seen, attached; on a horizon, that leaves the surface.
-        draw: the light samples whose shadows are meant.
+        curves: (K,) the curves.
+        ray: the rays that see the curves, attached; for a horizon, the ray that leaves the surface.
+        draw: the light samples whose shadow borders are among the curves.
     """
     geometry, ray = attached_geometry(scene), _in_double(ray)
     found = torch.zeros_like(ray.d.x)
@@ -265,33 +265,33 @@ def level(scene: SceneTensors, lines: LineTable | None, curves: Curves, ray: Ray
 
 
 def _ends_of(geometry: Geometry, side: TriangleSide) -> tuple[Vec3, Vec3]:
-    """The end points of sides, attached."""
+    """The end points of triangle sides, world, attached."""
     first, second, third = _corners_of(geometry, side.prim, side.instance)
     return (where(side.corner == 0, second, where(side.corner == 1, third, first)),
             where(side.corner == 0, third, where(side.corner == 1, first, second)))
 
 
 def beside_edge(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level function of edges: the signed distance at which rays pass them."""
+    """The level function of edges: the signed distance, up to a factor, at which rays pass them."""
     a, b = _ends_of(geometry, curves.edge)
     return dot(cross(b - a, ray.d), a - ray.o)
 
 
 def _facing(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level function of rims: how far shading normals are turned away from the viewer."""
+    """The level function of rims: the cosine, up to a factor, between shading normals and rays."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     normals = vertex_normals(geometry, _between(geometry, curves.edge.prim), curves.edge.instance)
     return dot(interpolated(normals, *crossed_at(corners, ray)), ray.d)
 
 
 def _above(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level function of horizons: how far scattered rays leave on the side of the geometric normal."""
+    """The level function of horizons: the cosine, up to a factor, between scattered rays and the geometric normal."""
     corners = _corners_of(geometry, curves.edge.prim, curves.edge.instance)
     return dot(_normal_of(corners), ray.d)
 
 
 def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
-    """The level function of intersections: how much farther one of two triangles is than the other."""
+    """The level function of intersections: the difference of the distances to the two triangles."""
     distances = []
     for prim, instance in ((curves.edge.prim, curves.edge.instance), (curves.other, curves.shown_by)):
         corners = _corners_of(geometry, prim, instance)
@@ -302,13 +302,13 @@ def nearer(geometry: Geometry, curves: Curves, ray: Ray) -> Tensor:
 
 
 def across_line(scene: SceneTensors, geometry: Geometry, lines: LineTable, curves: Curves, ray: Ray) -> Tensor:
-    """The level function of texture lines: how far beyond a line rays hit triangles."""
+    """The level function of texture lines: how far beyond a line rays hit its triangle."""
     u, v = crossed_at(_corners_of(geometry, curves.edge.prim, curves.edge.instance), ray)
     return level_of_line(scene, lines, curves.edge.prim, curves.line, u, v) - curves.number
 
 
 def across_shadow(scene: SceneTensors, geometry: Geometry, curves: Curves, ray: Ray, draw: LightDraw) -> Tensor:
-    """The level function of shadow borders: the signed distance at which light passes edges."""
+    """The level function of shadow borders: the signed distance, up to a factor, at which light passes edges."""
     corners = _corners_of(geometry, curves.other, curves.shown_by)
     start, d, _ = light_line(scene, interpolated(corners, *crossed_at(corners, ray)), draw)
     a, b = _ends_of(geometry, curves.edge)

@@ -34,7 +34,7 @@ from torch_radbp.tensors.vec import Ray, Vec2, Vec3, cross, dot, normalize, rows
 
 
 class Cuts(NamedTuple):
-    """N samples of edges that occlude what viewpoints see; detached."""
+    """N samples of edges that occlude light from viewpoints; detached."""
 
     viewpoint: Tensor  # (N,) int32
     edge: Tensor  # (N,) int32, edge of the outline
@@ -44,7 +44,7 @@ class Cuts(NamedTuple):
 
 
 class CutsOfView(NamedTuple):
-    """K edge samples that occlude light from paths of a view; detached."""
+    """K samples of edges that occlude light from path vertices of a view; detached."""
 
     points: Viewpoints  # viewpoints, not all of them used
     cuts: Cuts
@@ -53,12 +53,12 @@ class CutsOfView(NamedTuple):
     sweep: Tensor  # as of `shadow_term.CutOff`
 
     def independent(self) -> Tensor:
-        """The contributions in independent parts, see `split.SampledIntegral`: those of each path together."""
+        """The image changes in independent parts, one for each path, see `split.SampledIntegral`."""
         _, path = self.cuts.viewpoint.unique(return_inverse=True)
         return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
     def parted(self) -> tuple[CutsOfView | None, CutsOfView | None]:
-        """Splits into samples of pilot paths, which only estimate noise, and the others; None: there are none."""
+        """Splits into samples of pilot paths, which only estimate noise, and all others; None: there are none."""
         if self.points.tried is None:
             return None, self
         tried, own = rows(self.points.tried, self.cuts.viewpoint), self._replace(points=self.points._replace(tried=None))
@@ -67,12 +67,12 @@ class CutsOfView(NamedTuple):
 
 
 def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Deposit:
-    """The boundary term of light that edges occlude from paths, for view `number`.
+    """The derivative from light that edges occlude from path vertices, as a deposit on the film of view `number`.
 
     Args:
-        call: of which something moves.
-        outline: the edges of all that casts shadows.
-        found: of the view.
+        call: the rendering, in which something moves.
+        outline: the edges of everything that casts shadows.
+        found: the samples of the view.
     """
     geometry = attached_geometry(call.scene)
     at, viewpoint = vertex_at(call, geometry, number, found.points), found.cuts.viewpoint
@@ -82,7 +82,7 @@ def jumps_of_cuts(call: RenderCall, number: int, outline: Outline, found: CutsOf
 
 
 def rise_of(call: RenderCall, number: int, outline: Outline, found: CutsOfView) -> Tensor:
-    """The cosine between the normal of a path's vertex, on the side it came from, and the way to an edge; (K,) detached."""
+    """The cosine between a path vertex's normal, on the side it came from, and the direction to an edge; (K,) detached."""
     geometry, cuts = geometry_of(call.scene), found.cuts
     points, at = rows((found.points, vertex_at(call, geometry, number, found.points)), cuts.viewpoint)
     corners = corners_of(geometry, points.hit)
@@ -92,7 +92,7 @@ def rise_of(call: RenderCall, number: int, outline: Outline, found: CutsOfView) 
 
 
 class CutCourse(NamedTuple):
-    """The course of borders at which edges occlude light, at N samples; detached, float64."""
+    """The normals of borders at which edges occlude light, and the areas swept, at N samples; detached, float64."""
 
     basis: tuple[Vec3, Vec3]  # across the line of sight
     normal: Vec2  # as of `CutsOfView`; 0 where unknown
@@ -101,15 +101,15 @@ class CutCourse(NamedTuple):
 
 def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, step: Tensor | float = 0.0,
            off: Vec3 | None = None) -> Vec2:
-    """Intersections of lines from viewpoints through edges with the surface beyond, (N,) barycentric; attached.
+    """The points at which lines from viewpoints through edges meet the surface beyond, (N,) barycentric; attached.
 
-    Where nothing lies beyond: the direction of the line, by its coordinates across the line of sight.
+    If nothing lies beyond: the direction of the line, as coordinates across the line of sight.
 
     Args:
         geometry: attached.
         outline: the edges.
         vertices: (M,) the viewpoints, attached.
-        cuts: the places.
+        cuts: the samples.
         step, off: as for `border`.
     """
     start, p = rows(vertices, cuts.viewpoint), point_of_edge(geometry, outline, cuts.edge, cuts.along + step)
@@ -120,14 +120,14 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
 
 @stage("geometry", "outline", "at")
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
-    """Computes how borders of occluded light run over the surfaces beyond.
+    """The `CutCourse` of borders on the surfaces beyond edges.
 
     Args:
         geometry: of the scene, detached.
         outline: the edges.
-        at: (M,) the viewpoints.
-        passed: (N,) places on edges that are seen from them.
-        hit: (N,) what lies beyond.
+        at: (M,) world positions of the viewpoints.
+        passed: (N,) samples on edges as the viewpoints see them.
+        hit: (N,) the surfaces beyond.
         extent: () of the scene.
     """
     sight = normalize(passed.p - rows(at, passed.eye))
@@ -139,14 +139,14 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
              light: Callable[[Cuts], Tensor]) -> CutsOfView:
-    """Samples of edges that hide light from viewpoints; some of them hide nothing there.
+    """Samples of edges as `CutsOfView`, those that occlude no light included.
 
     Args:
         stages, geometry, casting: as for `places_seen`.
         points: viewpoints, which lie `at` (M,) world.
-        passed: (N,) places on edges that are seen from them.
-        hit: (N,) where lines from viewpoints through these are cut off.
-        light: from cuts to (3, N) what the view sees of the light there, for each unit of `cut_at`'s coordinates.
+        passed: (N,) samples on edges as the viewpoints see them.
+        hit: (N,) the surfaces beyond, on which light is cut off.
+        light: returns for cuts the light beyond that reaches the view, (3, N), per unit of `cut_at`'s coordinates.
     """
     basis, normal, sweep = stages(cut_course)(geometry, casting.outline, at, passed, hit, extent_of(geometry))
     cuts = Cuts(passed.eye, passed.edge, passed.along, hit, basis)
@@ -156,32 +156,32 @@ def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewp
 
 def cuts_that_matter(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed,
                      hit: Hit, light: Callable[[Cuts], Tensor]) -> CutsOfView | None:
-    """The samples at which light is lost; None: there are none. Args as for `all_cuts`."""
+    """The samples at which edges occlude light; None: there are none. Args as for `all_cuts`."""
     found = all_cuts(stages, geometry, casting, points, at, passed, hit, light)
     kept = matter(found)
     return with_used_viewpoints(some_cuts(found, kept)) if len(kept) else None
 
 
 def matter(found: CutsOfView) -> Tensor:
-    """The indices of samples at which an edge occludes any light, int64."""
+    """The indices of samples at which an edge occludes light, int64."""
     return (found.strength != 0).any(0).nonzero().squeeze(1)
 
 
 def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """Selects samples of occluding edges by index."""
+    """Selects samples by index; all viewpoints are kept."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
 
 
 def with_used_viewpoints(found: CutsOfView) -> CutsOfView:
-    """Drops viewpoints without samples: those that slide are traced once more, attached."""
+    """Drops the viewpoints without samples, since viewpoints that slide are traced once more, attached."""
     used, viewpoint = found.cuts.viewpoint.unique(return_inverse=True)
     cuts = found.cuts._replace(viewpoint=viewpoint.to(found.cuts.viewpoint.dtype))
     return found._replace(points=rows(found.points, used.long()), cuts=cuts)
 
 
 def joined_cuts(found: Sequence[tuple[CutsOfView, float]]) -> CutsOfView | None:
-    """Joins sets of samples, each with the weight with which it counts; None: there are none."""
+    """Joins sets of samples, each scaled by its weight; None: there are none."""
     if not found:
         return None
     before = itertools.accumulate([len(own.points.depth) for own, _ in found], initial=0)

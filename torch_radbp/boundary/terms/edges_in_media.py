@@ -8,8 +8,7 @@ from torch_radbp.boundary.terms.shadow_term import follows, follows_mirrors, glu
 
 
 def left_out_in_media(rendering: Rendering) -> list[str]:
-    """What derivatives lack where something moves, in words; nothing if there are no media that scatter, nor boundaries of
-    media that rays pass."""
+    """What derivatives lack in media that scatter, or whose boundaries rays pass, in words; empty if there are none."""
     call, layout = rendering.call, rendering.call.scene.layout
     later, segments = rendering.max_depth > 1, layout.traces_segments
     if not segments and not (layout.scattering_media and later):

@@ -18,8 +18,9 @@ from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, drawn
 from torch_radbp.boundary.eye.seen_edges import course_of
 from torch_radbp.boundary.eye.viewpoints import Viewpoints, arriving, path_of, vertex_on
-from torch_radbp.boundary.terms.border import Borders, Lights, border
+from torch_radbp.boundary.terms.border import Borders, border
 from torch_radbp.boundary.terms.bounced import light_sent_on, pairs_of, way_to
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.followed_light import moved_directions
 from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, follows, shadow_term, sharp_lights_later
 from torch_radbp.call.render_call import integrand_of
@@ -29,7 +30,7 @@ from torch_radbp.tensors.vec import Frame, Vec2, Vec3, dot, normalize
 
 
 class FollowedBorders(NamedTuple):
-    """K samples on borders, each seen from a path vertex; detached."""
+    """K samples on shadow borders, each seen from a path vertex by a scattered direction; detached."""
 
     points: Viewpoints  # the path vertices
     borders: Borders
@@ -39,7 +40,7 @@ class FollowedBorders(NamedTuple):
 
 @shadow_term
 class FollowedShadows(ShadowTerm):
-    """Borders of lights without extent that are seen in scattered directions which carry derivatives."""
+    """The boundary term of shadow borders of lights without extent, seen in scattered directions that carry derivatives."""
 
     rank = 7
 
@@ -73,6 +74,6 @@ class FollowedShadows(ShadowTerm):
 
 def _sight_of(scene: SceneTensors, geometry: Geometry, outline: Outline, at: Vec3, borders: Borders,
               basis: tuple[Vec3, Vec3], step: Tensor | float = 0.0, off: Vec3 | None = None) -> Vec2:
-    """Shadow ends as points `at` see them, (N,) coordinates across the lines of sight, attached; args as of `border`."""
+    """Shadow ends as seen from points `at`, (N,) coordinates across the lines of sight, attached; args as of `border`."""
     d = normalize(border(scene, geometry, outline, borders, step, off) - at)
     return Vec2(*(dot(d, across) for across in basis))

@@ -54,7 +54,7 @@ TIMES_AS_LARGE = 2  # as other places in memory: how directions move is recorded
 
 
 class FollowedCuts(NamedTuple):
-    """K samples where differentiated directions meet edges, and where edges occlude sampled lamps; detached."""
+    """K samples where differentiated directions meet edges, and samples where edges occlude sampled lamps; detached."""
 
     directions: CutsOfView  # in coordinates across the line of sight
     numbers: DirectionNumbers  # (K,) with which vertices sample the directions
@@ -62,21 +62,21 @@ class FollowedCuts(NamedTuple):
 
 
 class EdgeSide(NamedTuple):
-    """One side of N edges as path vertices see them."""
+    """What path vertices see on one side of N edges."""
 
     ray: Ray  # from the vertices
     hit: Hit  # what it meets
 
 
 class Beyond(NamedTuple):
-    """The two surfaces that path vertices see to either side of an edge, (N,) each."""
+    """What path vertices see on both sides of an edge, (N,) each."""
 
     front: EdgeSide  # the blocker
     back: EdgeSide  # the background
 
 
 class LightBeside(NamedTuple):
-    """The light beside edges that reaches a view, (3, N) float64 each, per solid angle."""
+    """The light on both sides of edges that reaches a view, (3, N) float64 each, per solid angle."""
 
     drawn: Tensor  # background less blocker, by BSDF sampling
     picked: Tensor  # background, by light sampling
@@ -84,7 +84,7 @@ class LightBeside(NamedTuple):
 
 @shadow_term
 class FollowedLight(ShadowTerm):
-    """The term of attached sampling: scattered directions that turn with parameters slide over edges of other surfaces."""
+    """The boundary term of scattered directions that carry derivatives: they turn with parameters, and slide over edges."""
 
     rank = 6
 
@@ -159,8 +159,8 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: D
 
     Args:
         points: the viewpoints.
-        rays: that meet them, attached.
-        numbers: of each.
+        rays: the rays that hit them, attached.
+        numbers: the random numbers.
     """
     integrand = call.make_integrand(call.scene)
     state = path_of(call, rays, points.key)
@@ -170,7 +170,7 @@ def moved_directions(call: RenderCall, points: Viewpoints, rays: Ray, numbers: D
 
 
 def _beside(integrand: Integrand, passed: Passed, start: Vec3, off: Tensor) -> Beyond:
-    """Traces rays beside samples on edges; `start`: (N,) the path vertices, `off`: distance from the edge."""
+    """Traces rays on both sides of samples on edges; `start`: (N,) the path vertices, `off`: their offset from the edge."""
     reach = passed.p - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
     dtype = passed.onwards.d.x.dtype
@@ -188,10 +188,10 @@ def light_beside(call: RenderCall, integrand: Integrand, points: Viewpoints, bey
 
     Args:
         integrand: of the view, detached.
-        points: (N,) that see the edges.
-        beyond: what lies beside these.
-        found: how the vertices draw their directions.
-        elsewhere: (N,) bool: of lights whose borders `bounced.py` samples picked points count there, but at first vertices.
+        points: (N,) the path vertices that see the edges.
+        beyond: what they see on both sides.
+        found: the directions as BSDF samples of the vertices.
+        elsewhere: (N,) bool: later vertices at which light samples' borders are counted in `bounced.py` already.
     """
     first, later = Straight.uncovered(call)[:2]
     none = torch.zeros(3, len(points.depth), dtype=torch.float64, device=call.scene.device)

@@ -42,7 +42,8 @@ from torch_radbp.boundary.eye.seen_edges import Casting, Passed, places_seen, sa
 from torch_radbp.boundary.eye.thinning import chances, thinned
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
-from torch_radbp.boundary.terms.border import SOFT, Lights, most_samples
+from torch_radbp.boundary.terms.border import most_samples
+from torch_radbp.boundary.terms.covered_lights import SOFT, Lights
 from torch_radbp.boundary.terms.cuts import (
     CutsOfView,
     cuts_that_matter,
@@ -75,20 +76,21 @@ BYTES_OF_WAY = 120  # down the tree of edges: where it is, and what it has found
 
 
 class Straight(NamedTuple):
-    """Which lights of some extent count here that vertices of paths see straight; others count elsewhere."""
+    """Which lights of some extent this term counts where path vertices see them directly; other terms count the rest."""
 
     from_surfaces: Lights  # of first vertices
     # Of later ones past edges that lie on no surface; all others see all here:
     by_chance: Lights  # that are met by chance
-    in_mirrors: Lights  # that cameras see by way of one ideal vertex
+    behind_ideal: Lights  # that cameras see by way of one ideal vertex
     in_media: Lights
 
     @staticmethod
     def uncovered(call: RenderCall) -> Straight:
-        """Those that no other term has."""
+        """The lights whose occlusion by edges, as path vertices see it, no other boundary term computes."""
         shafts = Lights.with_shafts(call)
-        by_chance, in_mirrors = (SOFT._replace(soft=not some.soft) for some in (Lights.bounced(call), Lights.mirrored(call)))
-        return Straight(Lights.uncovered(call), by_chance, in_mirrors, Lights(False, not shafts.soft, not shafts.around))
+        by_chance, behind_ideal = (SOFT._replace(soft=not lights.soft)
+                                   for lights in (Lights.bounced(call), Lights.mirrored(call)))
+        return Straight(Lights.uncovered(call), by_chance, behind_ideal, Lights(False, not shafts.soft, not shafts.around))
 
 
 EVERYTHING = Straight(SOFT, SOFT, SOFT, SOFT)
@@ -96,7 +98,7 @@ EVERYTHING = Straight(SOFT, SOFT, SOFT, SOFT)
 
 @shadow_term
 class HiddenLight(ShadowTerm):
-    """Light that edges occlude from vertices of paths, which see points that are glued to surfaces."""
+    """The boundary term of light that edges occlude from path vertices, whose next hits are fixed to surfaces."""
 
     rank = 3
     through_media = True
@@ -147,9 +149,9 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
     Args:
         call: detached.
-        casting: the edges of all that casts shadows.
-        amount: how many paths are looked at; cuts of those that are only tried are among the others.
-        counted: what counts of the light that vertices receive straight.
+        casting: the edges of everything that casts shadows.
+        amount: the number of paths, as shares; samples of pilot paths are among the result.
+        counted: the lights that count here where vertices see them directly.
     """
     view, integrand = call.views[number], integrand_of(call, call.integrand, number)
     paths, more, before = (number_of_paths(call, view, share, ROUNDS * MOST) for share in (
@@ -171,7 +173,7 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
                   counted: Straight) -> CutsOfView | None:
-    """Selects the edge samples at which light is occluded; None: there are none. Args as for `looks_at_edges`."""
+    """The samples of `looks` at which edges occlude light; None: there are none. Args as for `looks_at_edges`."""
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     layout, alone = call.scene.layout, torch.zeros_like(passed.edge, dtype=torch.bool)
     if layout.scattering_media or layout.emitting_media:
@@ -187,7 +189,7 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
-    """Thins a round's samples to about `most`, which stand for all of them; see `eye/thinning.py`.
+    """Thins the samples of one round of paths to about `most`, reweighted to stand for all; see `eye/thinning.py`.
 
     Args:
         key: of random numbers.
@@ -199,7 +201,7 @@ def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfVie
 
 
 class EdgeSightings(NamedTuple):
-    """Edge samples as path vertices see them."""
+    """Samples on edges as path vertices see them."""
 
     points: Viewpoints  # (M,)
     at: Vec3  # (M,) where they are
@@ -208,11 +210,11 @@ class EdgeSightings(NamedTuple):
 
 def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting: Casting, batch: PathBatch,
                    counted: Straight) -> EdgeSightings | None:
-    """Samples edges as seen from vertices of some paths; None: they see none.
+    """Samples edges as seen from vertices of a batch of paths; None: they see none.
 
     Args:
         call, number, casting: as for `cuts_of_view`.
-        integrand: the view's.
+        integrand: for the view.
         batch: the paths.
         counted: as for `cuts_of_view`.
     """
@@ -233,7 +235,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
 
 
 def wider(call: RenderCall, batch: PathBatch, counted: Straight) -> PathBatch:
-    """More paths, of which those go on that are wanted, where only vertices that mirrors and glass lead to see lamps."""
+    """A larger batch of paths, to be thinned by `wanted`, if only vertices behind mirrors and glass see lamps."""
     narrow = any(look.kind.delta for look in call.scene.layout.appearances)
     if counted.by_chance.soft or not narrow:
         return batch
@@ -242,7 +244,7 @@ def wider(call: RenderCall, batch: PathBatch, counted: Straight) -> PathBatch:
 
 
 def wanted(points: Viewpoints, batch: PathBatch, key: SampleKey) -> Viewpoints:
-    """Thins the viewpoints of more paths to those of a batch; see `eye/thinning.py`. `key`: of random numbers."""
+    """Thins viewpoints to the number of `batch`, preferring those behind mirrors and glass. `key`: of random numbers."""
     own = torch.ones_like(points.slides) if points.tried is None else ~points.tried
     after_ideal = (points.depth > 0) & ~points.by_chance
     size = max_component(points.beta).double() * torch.where(after_ideal, WANTED, 1.0)
@@ -254,19 +256,19 @@ def wanted(points: Viewpoints, batch: PathBatch, key: SampleKey) -> Viewpoints:
 
 
 def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoints, at: Vec3, counted: Straight) -> Eyes:
-    """The viewpoints, with weights of directions, from which edges are sampled.
+    """The viewpoints, with weights of directions by BSDF and lights, from which edges are sampled.
 
     Args:
-        call, number: of the view.
-        integrand: the view's.
-        points, at: the viewpoints, and where they are.
-        counted: what counts of the light that vertices receive straight.
+        call, number: the rendering, and the number of the view.
+        integrand: for the view.
+        points, at: the viewpoints, and their positions.
+        counted: the lights that count here where vertices see them directly.
     """
     lobes = ()
     if call.scene.layout.lights:
         lights = light_points(call.stages, call.scene, call.views[number], len(points.depth))
         surfaces, by_chance, mirrors, media, everywhere = (some.of(call.scene)[lights.kind] for some in (*counted, SOFT))
-        later = torch.where(points.by_chance, by_chance, torch.where(points.in_mirrors, mirrors, everywhere))
+        later = torch.where(points.by_chance, by_chance, torch.where(points.behind_ideal, mirrors, everywhere))
         meant = torch.where(points.in_medium, media, torch.where(points.depth > 0, later, surfaces))
         lobe = integrand.part(Ends.SURROUNDINGS).call(light_lobes, at, lights.draw)
         lobes = lobe._replace(narrow=torch.where(meant, lobe.narrow, 0.0)),
@@ -274,7 +276,8 @@ def eyes_of(call: RenderCall, number: int, integrand: Integrand, points: Viewpoi
 
 
 def number_of_paths(call: RenderCall, view: View, share: float = 1.0, most: int = MOST) -> int:
-    """The number of paths whose vertices sample edges, for a share of the samples; 0: none."""
+    """The number of a view's paths whose vertices sample edges: `share` / SHARE of all samples, within limits; for 0
+    none."""
     return max(FEWEST_PATHS, int(share * min(most, view.width * view.height * call.spp // SHARE))) if share else 0
 
 
@@ -284,19 +287,19 @@ def most_paths(call: RenderCall) -> int:
 
 
 def on_no_surface(outline: Outline, edge: Tensor) -> Tensor:
-    """(N,) bool: parts of edges that lie on no surface of another body; `edge`: (N,) int32, which."""
+    """(N,) bool: parts of edges that do not lie on another body's surface; `edge`: (N,) int32, their indices."""
     return torch.ones_like(edge, dtype=torch.bool) if outline.parts is None else rows(outline.parts.counts, edge) == 1.0
 
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
                  counted: Straight, free: Tensor) -> Tensor:
-    """(3, N) float64 light past the edges that reaches the view, per unit of `cut_at`'s coordinates.
+    """(3, N) float64 light beyond edges that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
-        points, at: the viewpoints, and where they are.
-        passed: (N,) the edges, as the viewpoints `passed.eye` see them.
-        past: (N,) what the light comes from.
-        counted: what counts of the light that vertices receive straight.
+        points, at: the viewpoints, and their positions.
+        passed: (N,) samples on edges, as the viewpoints `passed.eye` see them.
+        past: (N,) the surfaces beyond, from which the light comes.
+        counted: the lights that count here where vertices see them directly.
         free: (N,) bool: the edges lie on no surface.
     """
     scene, scatters = integrand.proposal, bool(call.scene.layout.scattering_media)
@@ -310,16 +313,16 @@ def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at:
         state = path_of(call, ray, key)._replace(medium=medium)
         found = trace(integrand, state, hit=met, depth=depth + 1, flight=flight)
         surfaces = counted.from_surfaces if depth == 0 else counted.by_chance
-        mirrors = counted.in_mirrors if depth == 1 else SOFT
+        mirrors = counted.behind_ideal if depth == 1 else SOFT
         media = counted.in_media if scatters else SOFT
         if (surfaces, mirrors, media) != (SOFT, SOFT, SOFT):
             way = None if flight is None else flight._replace(emission=None)  # what media emit there counts
             straight = trace(integrand._replace(max_depth=depth + 2), state, hit=met, depth=depth + 1, flight=way)
-            on_surfaces, in_mirrors, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
+            on_surfaces, behind_ideal, in_media = (torch.where(met.prim >= 0, not some.soft, not some.around)
                                                  for some in (surfaces, mirrors, media))
             if depth > 0:
-                chance, mirror, off = rows((own.by_chance, own.in_mirrors, free), lanes)
-                on_surfaces = (on_surfaces & chance | in_mirrors & mirror) & off
+                chance, mirror, off = rows((own.by_chance, own.behind_ideal, free), lanes)
+                on_surfaces = (on_surfaces & chance | behind_ideal & mirror) & off
             found = found - masked(torch.where(rows(own.in_medium, lanes), in_media, on_surfaces), straight)
         L[:, lanes] = torch.stack(tuple(found)).double()
     angle = solid_angle(scene, past.fixed_to(scene), Ray(start, reach))

@@ -43,21 +43,22 @@ OF_RAYS = ("A single ray has no area that they sweep, but a mean over rays, such
 class SilhouetteWarning(UserWarning):
     """Warning: derivatives lack the contribution of silhouettes or shadow borders.
 
-    The image jumps where an outline, or the border of a shadow, moves over a pixel, and what that adds to a derivative is
+    The image is discontinuous at outlines and shadow borders; their motion over pixels contributes to derivatives, which is
     not computed. The message names the parameters, and `check_gradient` measures by how much theirs are biased. Each
     renderer says it once; `warnings.simplefilter("ignore", rb.SilhouetteWarning)` silences it.
     """
 
 
 class JumpWarning(SilhouetteWarning):
-    """Warning: derivatives lack the contribution of a discontinuous BSDF, a silhouette of its microfacets.
+    """Warning: derivatives lack the contribution of a discontinuous BSDF, such as a silhouette of its microfacets.
 
-    The message names the parameters, and which `sampling` has that part if any has; `check_gradient` measures the bias.
+    The message names the parameters, and the `sampling` that has the contribution, if any; `check_gradient` measures the
+    bias.
     """
 
 
 class JumpWatch:
-    """Examines renderings for discontinuities that derivatives miss, and light that images lack; warns once of each kind."""
+    """Warns, once of each kind, of discontinuities whose contribution derivatives lack, and of light that images lack."""
 
     def __init__(self) -> None:
         # Those that have not warned yet.
@@ -73,7 +74,7 @@ class JumpWatch:
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
     def look(self, rendering: Rendering) -> None:
-        """Examines a rendering, and warns of what image or derivatives lack."""
+        """Examines a rendering, and warns of what its image or its derivatives lack."""
         due, self.of_images = self.of_images, []
         if due:
             self.caustic = caustic_of(rendering)
@@ -99,7 +100,7 @@ class JumpWatch:
     def silhouettes_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about silhouettes of moving shapes, or of all shapes if a camera moves, or None.
 
-        Hidden silhouettes count as seen.
+        Hidden silhouettes count as well.
         """
         missing = missing_silhouettes(rendering)
         if not missing:
@@ -112,9 +113,9 @@ class JumpWatch:
                                  f"there. {instead}")
 
     def lines_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about lines on surfaces that move in view, as the terms say that are switched off; or None.
+        """The warning about moving lines on surfaces in view whose term is switched off; or None.
 
-        Those of parameters that move silhouettes too are left out, and hidden lines count as seen.
+        Parameters that move silhouettes, too, are left out; hidden lines count as well.
         """
         if rendering.primary or rendering.call.scene.triangles.vertices.uv is None:
             return None
@@ -128,9 +129,9 @@ class JumpWatch:
                                  f"{' and '.join(dict.fromkeys(found.values()))}: some move in view. {instead}")
 
     def edges_in_media(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about edges and shadows in media that no term has, where anything moves, or None.
+        """The warning about edges and shadows in media that no term computes, if anything moves, or None.
 
-        They are looked for once for each set of parameters.
+        It is looked for once for each set of parameters.
         """
         names = frozenset(moving_names(rendering))
         if not names or names in self.in_media:
@@ -146,8 +147,8 @@ class JumpWatch:
     def shadows_in_view(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning about shadow borders that move with a light, an occluder, a receiver or the camera, or None.
 
-        None where that is computed. Parameters that move silhouettes too are left out. Shadows are searched once for each
-        parameter, among rays anew, by the terms that are switched off, and by those that need pixels of some area.
+        None where these are computed. Parameters that move silhouettes, too, are left out. Shadows are searched once for
+        each parameter by the terms that are switched off, or that need pixels of some area.
         """
         soft, sharp = rendering.shadows, rendering.shadows and rendering.has_area
         found = self.sharp_shadows_in_mirrors(rendering) if soft else None
@@ -169,9 +170,9 @@ class JumpWatch:
                                  f"the border of what hides a part of these counts likewise. {instead}")
 
     def sharp_shadows_in_mirrors(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about shadows of lights without extent that may be seen in ideal mirrors and glass, or None.
+        """The warning about shadows of lights without extent that surfaces may see in ideal mirrors and glass, or None.
 
-        Borders of shadows that cameras see in mirrors and glass are among the terms (`reflections`), and not warned of.
+        Those that cameras see in mirrors and glass are computed (`reflections`).
         """
         ideal = [bsdf for bsdf, kind in rendering.materials() if kind.delta]
         scattering = any(kind.smooth for _, kind in rendering.materials())
@@ -191,10 +192,10 @@ class JumpWatch:
                                  f"measures how much that matters")
 
     def jumps_of_a_bsdf(self, rendering: Rendering) -> JumpWarning | None:
-        """The warning about a BSDF that is discontinuous in directions that turn, or None.
+        """The warning about a BSDF that is discontinuous in its directions, when these turn, or None.
 
-        Directions without derivatives miss that, and where samples end at the jump those with derivatives do, too; see
-        `Kind.jumps` and `Kind.ends`.
+        Detached directions miss that, and attached ones as well if samples end at the discontinuity; see `Kind.jumps` and
+        `Kind.ends`.
         """
         sampling = rendering.sampling
         jumping = [(bsdf, kind) for bsdf, kind in rendering.materials()
@@ -217,7 +218,7 @@ class JumpWatch:
         return JumpWarning(f"{lacking}transmission by GGX facets ends with a jump, at which samples are lost. {instead}")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about scattered directions that depend on a parameter, and so slide over edges; or None."""
+        """The warning about scattered directions that turn with a parameter, and so slide over edges; or None."""
         slid = slid_over(rendering)
         named = missing_silhouettes(rendering) if slid.names else {}
         names = {name: ideal for name, ideal in slid.names.items() if name not in named}
@@ -240,7 +241,7 @@ class JumpWatch:
     def edges_far_off(self, rendering: Rendering) -> SilhouetteWarning | None:
         """The warning that edges in view are so far from the origin that rays miss them, or None.
 
-        Of each parameter this is looked at once, where the things are that it moves; of a camera's, the whole scene.
+        For each parameter the things that it moves are examined once; for those of a camera, the whole scene.
         """
         cameras = {name for names in rendering.camera_movers for name in names}
         names = cameras.union(*rendering.movers)
@@ -267,31 +268,31 @@ class JumpWatch:
 
 
 def traces_from_lamps(rendering: Rendering) -> bool:
-    """True if paths begin at lamps, where some light by way of mirrors and glass asks for it."""
+    """True if some paths begin at lamps, because of light by way of mirrors and glass."""
     return rendering.light_paths in ("caustics", "all") or (
         rendering.light_paths == "auto" and rendering.call.can_follow_to_the_film and rendering.sampling != "attached")
 
 
 def moving_names(rendering: Rendering) -> set[str]:
-    """The parameters with derivatives that move shapes, lights or cameras."""
+    """The names of the differentiated parameters that move shapes, lights or cameras."""
     names = {name for plugin in rendering.emitters for name in rendering.moving(plugin, MOVE_LIGHTS)}
     return names.union(*rendering.movers, *rendering.camera_movers)
 
 
 def missing_silhouettes(rendering: Rendering) -> dict[str, int]:
-    """The parameters that move silhouettes in view, with the number of edges; none if their term is on, or nothing moves."""
+    """The parameters that move silhouettes in view, with numbers of edges; empty if their term is on, or nothing moves."""
     moves = any(rendering.movers) or any(rendering.camera_movers)
     return silhouettes_left_out(rendering) if moves and not rendering.primary else {}
 
 
 def times_as_far(vertices: Tensor) -> float:
-    """The distance of vertices, (V, 3), from the origin relative to their extent; by largest coordinates."""
+    """The largest coordinate of vertices, (V, 3), relative to their extent."""
     low, high = vertices.aminmax(dim=0)
     return float(torch.maximum(low.abs(), high.abs()).max() / (high - low).max().clamp_min(torch.finfo(low.dtype).tiny))
 
 
 def flat(vertices: Tensor) -> bool:
-    """True if all vertices, (V, 3), lie in one plane, so that no ray between them hits another."""
+    """True if all vertices, (V, 3), lie in one plane, so that no ray between two of them is occluded."""
     centred = vertices.double() - vertices.double().mean(0)
     squared_extent = torch.linalg.eigvalsh(centred.T @ centred)
     return bool(squared_extent[0] <= FLAT**2 * squared_extent[-1])

@@ -13,7 +13,7 @@ from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.segments import Segments, joined_segments
 from torch_radbp.boundary.curve.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.boundary.eye.surfaces import line_table
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.terms.reflections import (
     Reflected,
@@ -29,7 +29,7 @@ from torch_radbp.tensors.differentiated import primal
 
 
 class EdgesOfCall(NamedTuple):
-    """The edges and curves of all boundary terms; None for terms that are off, or if nothing moves."""
+    """The edges and curves that the boundary terms of a call need; None for terms that are off, or if nothing moves."""
 
     in_view: list[Jumps] | None  # of each view
     casting: Outline | None  # the edges of all that casts shadows
@@ -39,8 +39,8 @@ class EdgesOfCall(NamedTuple):
     lamps_in_mirrors: bool = False  # edges of lamps that surfaces see there move, which no term has
 
     def added_to(self, images: Tensor, call: RenderCall, interior: bool) -> Tensor:
-        """The images, (B, 3, H, W), with the boundary terms of their derivatives; `interior`: and with those that they have
-        beside."""
+        """The images, (B, 3, H, W), with the derivatives of all boundary terms; `interior`: and with those that they have
+        already."""
         images = images if interior else primal(images)
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)
@@ -52,15 +52,15 @@ class EdgesOfCall(NamedTuple):
 
 
 def bytes_of_edges(call: RenderCall, primary: bool, shadows: bool) -> int:
-    """The greatest memory for edges in view, and for shadow-casting edges, as far as these terms are on."""
+    """The greatest memory of boundary terms, for edges in view (`primary`) and shadows, as far as these are on."""
     in_view = bytes_of_jumps(call) if primary and moves(call) else 0
-    reflected = bytes_of_reflections(call) if any(asked_by_way_of_others(call, primary, shadows)) else 0
+    reflected = bytes_of_reflections(call) if any(mirror_terms_on(call, primary, shadows)) else 0
     casts = shadows and (slides_over_edges(call) or lines_slide(call))
     return max(in_view, bytes_of_shadows(call) if casts else 0) + reflected
 
 
-def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
-    """Whether jumps and shadow borders by way of mirrors and glass are on; args as for `bytes_of_edges`."""
+def mirror_terms_on(call: RenderCall, primary: bool, shadows: bool) -> tuple[bool, bool]:
+    """Whether discontinuities, and shadow borders, seen in mirrors and glass are on; args as for `bytes_of_edges`."""
     if not follows_mirrors(call) or call.scene.layout.traces_segments:
         return False, False
     moving = reflections_move(call) or lines_slide(call)
@@ -70,7 +70,7 @@ def asked_by_way_of_others(call: RenderCall, primary: bool, shadows: bool) -> tu
 
 
 def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
-    """Finds the edges that the boundary terms of a rendering need; `seed`: of the choice of instances."""
+    """Finds the edges and curves that the boundary terms of a rendering need; `seed`: of the choice of instances."""
     outlines, call = outlines_of(rendering.scene), rendering.call
     casts = rendering.shadows and rendering.max_depth > 1 and slides_over_edges(call)
     casting = outlines.of_everything(rendering, seed) if casts else None
@@ -86,9 +86,8 @@ def edges_of_call(rendering: Rendering, seed: int) -> EdgesOfCall:
 
 
 def lamps_are_slid_over(rendering: Rendering) -> bool:
-    """True if surfaces see lamps in ideal mirrors or glass that parameters turn; alike under `torch.no_grad()`, so that
-    images have the samples that they have where they are differentiated.
-    """
+    """True if surfaces see lamps in ideal mirrors or glass whose scattered directions turn with parameters; also under
+    `torch.no_grad()`, so that images have the same samples there."""
     if not lamps_beside_mirrors(rendering):
         return False
     with torch.enable_grad():
@@ -97,8 +96,8 @@ def lamps_are_slid_over(rendering: Rendering) -> bool:
 
 
 def reflected_of(rendering: Rendering, outlines: Outlines) -> Reflected | None:
-    """What the terms by way of mirrors and glass need; None: they are off, or nothing moves."""
-    surfaces, shadows = asked_by_way_of_others(rendering.call, rendering.primary, rendering.shadows)
+    """The edges and lines for discontinuities by way of mirrors and glass; None: these terms are off, or nothing moves."""
+    surfaces, shadows = mirror_terms_on(rendering.call, rendering.primary, rendering.shadows)
     if rendering.sampling == "detached" or not (surfaces or shadows):
         return None
     lines = line_table(lines_on_shapes(rendering), rendering.sizes, rendering.call.scene.device)

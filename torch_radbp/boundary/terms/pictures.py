@@ -39,7 +39,7 @@ BESIDE = 1e-4  # share of the picture by which it is looked at beside a line
 
 
 class PictureLines(NamedTuple):
-    """S segments of projected images along which these are discontinuous; float64 but for integers."""
+    """S line segments in projected images at which these are discontinuous; float64 but for integers."""
 
     row: Tensor  # (S,) int32, light: row of the table of its kind
     element: Tensor  # (S,) int32, of `LightTable`
@@ -48,7 +48,7 @@ class PictureLines(NamedTuple):
 
 
 class LitCurves(NamedTuple):
-    """N points of projected images whose light hits a receiver; detached."""
+    """N points on the discontinuity lines of projected images, and the surfaces that their light hits; detached."""
 
     row: Tensor  # (N,) int32, light: row of the table of its kind
     element: Tensor  # (N,) int32, of `LightTable`
@@ -58,7 +58,7 @@ class LitCurves(NamedTuple):
 
 
 def lines_of_pictures(call: RenderCall) -> dict[int, PictureLines]:
-    """The discontinuity lines of projected images, by kind of light; kinds without any are missing."""
+    """The lines at which projected images are discontinuous, by kind of light; kinds without any are missing."""
     lights, device, found = call.scene.lights, call.scene.device, {}
     for number, kind in enumerate(call.scene.layout.lights):
         emitters = [] if kind.on_surface else [emitter for emitter in call.module.emitters if emitter.kind() == kind]
@@ -74,11 +74,11 @@ def lines_of_pictures(call: RenderCall) -> dict[int, PictureLines]:
 
 
 def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec2, Vec2]:
-    """Clips lines to the unit square: (S,) end points; float64.
+    """Clips texture lines to the unit square: end points of S segments, (S,) each; float64.
 
     Args:
-        lines: of the unit square's coordinates.
-        whole: with those that run along its sides.
+        lines: a line family in the coordinates of the unit square.
+        whole: include those that run along its sides.
     """
     x, y, z = lines.x, lines.y, lines.z
     levels = [z, z + x, z + y, z + x + y]
@@ -96,7 +96,7 @@ def in_picture(lines: JumpLines, whole: bool, device: torch.device) -> tuple[Vec
 
 
 class PictureBorders(NamedTuple):
-    """K samples on borders of projected images that a view sees; detached."""
+    """K samples on discontinuities of projected images that the camera of a view sees; detached."""
 
     kind: int  # of lights
     curves: LitCurves
@@ -105,7 +105,7 @@ class PictureBorders(NamedTuple):
 
 @shadow_term
 class ProjectedImages(ShadowTerm):
-    """Borders of projected images, and lines at which these jump, on surfaces that the camera sees."""
+    """The boundary term of projected images: their borders and discontinuities on surfaces that the camera sees."""
 
     rank = 1
 
@@ -132,21 +132,21 @@ class ProjectedImages(ShadowTerm):
 
 def lit_at(scene: SceneTensors, geometry: Geometry, kind: int, curves: LitCurves, step: Tensor | float = 0.0,
            aside: float = 0.0) -> Vec3:
-    """The points at which light from image points hits the planes of receivers, (N,) world, attached.
+    """The points at which light through points of projected images hits the planes of receivers, (N,) world, attached.
 
     Args:
         scene, geometry: attached.
-        kind: of the lights, its number.
-        curves: the places.
-        step: by which share of the lines' lengths others lie that are meant.
-        aside: by which share of the picture they lie beside the lines.
+        kind: the number of the kind of light.
+        curves: the samples.
+        step: a shift of the samples along the lines, as a share of their lengths.
+        aside: a shift of the samples across the lines, as a share of the picture.
     """
     corners = corners_of(geometry, curves.receiver)
     return interpolated(corners, *crossed_at(corners, light_of(scene, kind, curves, step, aside)))
 
 
 def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | float = 0.0, aside: float = 0.0) -> Ray:
-    """The rays of light from image points, attached, float64; args as for `lit_at`."""
+    """The rays of light through points of projected images, attached, float64; args as for `lit_at`."""
     run = curves.along
     length = torch.hypot(run.x, run.y)
     across = Vec2(-run.y / length, run.x / length)
@@ -158,13 +158,13 @@ def light_of(scene: SceneTensors, kind: int, curves: LitCurves, step: Tensor | f
 
 def curves_lit(call: RenderCall, number: int, kind: int,
                lines: PictureLines) -> tuple[LitCurves, Tensor, LaneKey] | None:
-    """Samples image lines whose light hits a receiver, with weights and keys; None: there are none.
+    """Samples discontinuities of projected images whose light hits a receiver, with weights and keys; None: none do.
 
     Args:
         call: without derivatives.
         number: of the view.
-        kind: of lights, its number.
-        lines: of their images.
+        kind: the number of the kind of light.
+        lines: the lines of their images.
     """
     view, scene = call.views[number], call.scene
     run = lines.end + lines.start * -1.0
@@ -186,7 +186,7 @@ def curves_lit(call: RenderCall, number: int, kind: int,
 
 def borders_seen(call: RenderCall, number: int, kind: int, curves: LitCurves, times: Tensor,
                  key: LaneKey) -> CutOff | None:
-    """Selects samples on curves that a view sees; args as of `curves_lit`, and its results."""
+    """Selects the samples of projected images' lines that a view's camera sees; args as of `curves_lit`, and its result."""
     view, scene, geometry = call.views[number], call.scene, geometry_of(call.scene)
     integrand, camera = integrand_of(call, call.integrand, number), view.camera
     aperture, one = aperture_of(view, key), torch.ones_like(curves.receiver.t)

@@ -70,7 +70,7 @@ Evaluate = Callable[[Integrand, Onward], tuple[Tensor, ...]]
 
 
 class SeenByCamera(NamedTuple):
-    """The quantities along camera paths that may be discontinuous."""
+    """The quantities of camera paths, such as radiance or AOVs, whose discontinuities are differentiated."""
 
     turns: tuple[bool, ...]  # for each channel, whether the two sides of a surface differ
     evaluate: Evaluate  # computes the channels, detached
@@ -78,14 +78,14 @@ class SeenByCamera(NamedTuple):
 
 
 def moves(call: RenderCall) -> bool:
-    """True if a vertex, a shading normal, an instance or a camera has derivatives, or a line slides over its surface."""
+    """True if a vertex, shading normal, instance or camera is differentiated, or a texture line slides over its surface."""
     vertices, instances = call.scene.triangles.vertices, call.scene.triangles.instances
     poses = instances and (instances.linear, instances.origin), [view.camera.lens for view in call.views]
     return lines_slide(call) or any_differentiated((vertices.p, vertices.n, poses))
 
 
 def bytes_of_jumps(call: RenderCall) -> int:
-    """The bytes for discontinuity curves and samples on them, if curves are long."""
+    """The memory in bytes for discontinuity curves and samples on them, for a large total length of curves."""
     triangles, paths = len(call.scene.triangles.material), call.spp * max(view.width * view.height for view in call.views)
     instances = call.scene.triangles.instances
     triangles += 0 if instances is None else min(MOST_SHOWN, triangles * len(instances.number))
@@ -96,7 +96,7 @@ def bytes_of_jumps(call: RenderCall) -> int:
 
 
 def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is that of the image's discontinuities; `jumps`: of each view."""
+    """(B, 3, H, W) zeros with the derivatives of the image's discontinuities; `jumps`: the curves of each view."""
     def radiance(integrand: Integrand, start: Onward) -> tuple[Tensor, ...]:
         return tuple(trace(integrand, start.paths, hit=start.hit, flight=start.flight))
 
@@ -104,14 +104,14 @@ def image_jumps(call: RenderCall, jumps: list[Jumps | None]) -> Tensor:
 
 
 def jumps_of_views(call: RenderCall, jumps: list[Jumps | None], seen: SeenByCamera) -> Tensor:
-    """(B, C, H, W) zeros with the derivative of discontinuities in C channels."""
+    """(B, C, H, W) zeros with the derivatives of discontinuities in C channels; `jumps`: the curves of each view."""
     still = call.still()
     search = JumpSearch(call, still, seen, cache(still.facts), cache(partial(lamps_of, still)))
     return torch.stack([jumps_of_view(search, number, own) for number, own in enumerate(jumps)])
 
 
 class JumpSearch(NamedTuple):
-    """A call of which something moves in view, and what its views have in common."""
+    """A call in which something moves, with what its views share in the search for discontinuities."""
 
     call: RenderCall  # attached
     still: RenderCall  # without derivatives
@@ -121,7 +121,7 @@ class JumpSearch(NamedTuple):
 
 
 def jumps_of_view(search: JumpSearch, number: int, jumps: Jumps | None) -> Tensor:
-    """(C, H, W) zeros with the derivative of discontinuities, for view `number`; `jumps`: of the view."""
+    """(C, H, W) zeros with the derivatives of discontinuities in view `number`; `jumps`: the curves of the view."""
     call, still, seen, facts, lamps = search
     viewed = cache(lambda: examined(still, number, lamps(), seen))
 
@@ -144,7 +144,7 @@ def jumps_of_view(search: JumpSearch, number: int, jumps: Jumps | None) -> Tenso
 
 
 def examined(still: RenderCall, number: int, lamps: tuple[Eye, ...], seen: SeenByCamera) -> ExaminedView:
-    """View `number` of a call without derivatives, prepared for the search of its curves; `lamps`: of the scene."""
+    """The detached view `number`, prepared for sampling its discontinuity curves; `lamps`: of the scene."""
     with torch.no_grad():
         view = still.views[number]
         stages, sight = still.stages, sight_of(view, lamps)
@@ -154,14 +154,14 @@ def examined(still: RenderCall, number: int, lamps: tuple[Eye, ...], seen: SeenB
 
 
 def _places_of(call: RenderCall, number: int, viewed: ExaminedView, jumps: Jumps) -> list[Places]:
-    """Samples all discontinuity curves of view `number`."""
+    """Samples points on all discontinuity curves of view `number`."""
     found = [curves for term in FILM_TERMS for curves in term.in_view(viewed, jumps)]
     counts = place_counts([curves.length for curves in found], call, call.views[number])
     return [curves.places(count) for curves, count in zip(found, counts)]
 
 
 class InView(NamedTuple):
-    """Samples on a view's discontinuity curves, prepared for compiled functions."""
+    """Samples on a view's discontinuity curves, prepared for stages."""
 
     places: Places
     table: Places | Any  # the same, prepared for the stages
@@ -171,14 +171,14 @@ class InView(NamedTuple):
 
 def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, places: Places,
               seen: SeenByCamera) -> JumpPlaces | None:
-    """The visible samples, and the discontinuity of what is seen there; None: there are none.
+    """The visible samples on curves, and the jump of the quantities at each; None: there are none.
 
     Args:
         call: without derivatives.
-        integrand: of the view.
+        integrand: for the view.
         viewed: the view.
-        places: in the view.
-        seen: what is seen.
+        places: the samples.
+        seen: the quantities.
     """
     counted = chosen(places.counts)
     if not len(counted):
@@ -202,37 +202,35 @@ def strengths(call: RenderCall, integrand: Integrand, viewed: ExaminedView, plac
 
 
 def _kinds_of(places: Places) -> tuple[int, ...]:
-    """The kinds of moving curves inside of triangles among some samples."""
+    """The kinds of curves that move over triangles, among some samples."""
     counts = dict(enumerate(torch.bincount(places.kind).tolist()))
     return tuple(kind for term in FILM_TERMS for kind in term.kinds if counts.get(kind))
 
 
 def sides_in_sight(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView,
-                   asked: Tensor) -> tuple[PathsBeside, Tensor, Tensor]:
-    """Paths beside the visible ones of samples, (2 K,); which of the M these are, (K,) int32; and how often samples count,
-    (M,). Args as for `differences`.
-    """
+                   indices: Tensor) -> tuple[PathsBeside, Tensor, Tensor]:
+    """The paths on both sides of visible samples, (2 K,); the indices of these among `indices`, (K,) int32; and the weights
+    of all M samples. Args as for `differences`."""
     stages, geometry, sight = viewed[:3]
     table, kinds = found.table, found.kinds
-    sent = torch.full((), len(asked), dtype=torch.int32, device=asked.device)
-    lane = lanes(3 * len(asked), asked)
-    sample = stages(rays_beside)(sight, table, asked, sent, lane, call.scene.layout.traces_cones,
+    sent = torch.full((), len(indices), dtype=torch.int32, device=indices.device)
+    lane = lanes(3 * len(indices), indices)
+    sample = stages(rays_beside)(sight, table, indices, sent, lane, call.scene.layout.traces_cones,
                                 found.through_media)
     rays = Sent(sample, first_hit(integrand, sample.ray, 0))
     if found.through_media:
         rays = Sent(sample, *free_flights(integrand, started(call, sample), rays.hit, 0))
-    times = stages(in_sight)(geometry, table, asked, rays, sent, lane[:len(asked)], kinds)
+    times = stages(in_sight)(geometry, table, indices, rays, sent, lane[:len(indices)], kinds)
     if found.through_media:
-        times = times * ~integrand.part(Ends.SURROUNDINGS).call(on_boundary, table, asked)
+        times = times * ~integrand.part(Ends.SURROUNDINGS).call(on_boundary, table, indices)
     clear = chosen(times != 0)
     counts = sent, torch.full_like(sent, len(clear))
-    start = stages(paths_beside)(table, asked, rays, times, clear, counts, lanes(2 * len(clear), asked))
+    start = stages(paths_beside)(table, indices, rays, times, clear, counts, lanes(2 * len(clear), indices))
     return start, clear, times
 
 
 def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: ExaminedView, found: JumpPlaces) -> list[Deposit]:
-    """The part of places in view that light of paths from lamps loses or gains, as `eye/lit_sides.py` says; args as before.
-    """
+    """The deposits at samples `found` for light that paths from lamps bring to either side; `still`: `call`, detached."""
     with torch.no_grad():
         integrand = integrand_of(still, still.integrand, number)
         table = viewed.stages(in_sight).taken(places=found.places)
@@ -243,15 +241,15 @@ def lit_sides(call: RenderCall, still: RenderCall, number: int, viewed: Examined
     return deposits_of_sides(call, number, places, start.hit, light)
 
 
-def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, asked: Tensor,
+def differences(call: RenderCall, integrand: Integrand, viewed: ExaminedView, found: InView, indices: Tensor,
                 seen: SeenByCamera) -> tuple[Tensor, Tensor]:
-    """Of samples `asked` (M,) int32: the visible ones, (K,) int32, and values behind less values ahead, (C, K) float64."""
-    start, clear, times = sides_in_sight(call, integrand, viewed, found, asked)
+    """The visible samples among `indices`, (K,) int32, and image values behind less ahead of the curves, (C, K) float64."""
+    start, clear, times = sides_in_sight(call, integrand, viewed, found, indices)
     values = seen.evaluate(integrand, Onward(started(call, start.sample), None, start.hit, flight=start.flight))
     weight = start.sample.weight
     values = torch.stack([value if weight is None else value * weight for value in values]).double()
     behind, ahead = values.view(len(values), 2, -1).unbind(1)
-    shown, jump = rows(asked, clear), (behind - ahead) * rows(times, clear)
+    shown, jump = rows(indices, clear), (behind - ahead) * rows(times, clear)
     if all(seen.turns):
         return shown, jump
     turns = torch.tensor(seen.turns, device=jump.device)

@@ -42,7 +42,7 @@ from torch_radbp.boundary.eye.rays import Follows, adjoint_of_start, chains_of, 
 from torch_radbp.boundary.eye.seen_on_film import camera_sample
 from torch_radbp.boundary.eye.surfaces import LineTable, surfaces_of
 from torch_radbp.boundary.eye.viewpoints import path_of
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.crossings import Crossings, curve_crossings
 from torch_radbp.boundary.terms.curves import Curves, curves_crossed, level
 from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of
@@ -65,7 +65,7 @@ CROSSINGS = 1  # of a place
 
 
 class Reflected(NamedTuple):
-    """What the boundary terms by way of mirrors and glass need."""
+    """The edges and texture lines for discontinuities that cameras see by way of mirrors and glass."""
 
     meshes: list[Outline]  # edges of all meshes, in the frames of their vertices
     lines: LineTable | None  # of textures
@@ -81,7 +81,7 @@ def reflections_move(call: RenderCall) -> bool:
 
 
 def bytes_of_reflections(call: RenderCall) -> int:
-    """The usual greatest memory of scans and the crossings that they find."""
+    """The usual memory in bytes of scans of the film and of the crossings that they find."""
     paths = call.spp * max(view.width * view.height for view in call.views)
     if not any(may_see_ideal_surfaces(view, call.still_scene, paths) for view in call.views):
         return 0
@@ -97,8 +97,8 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
     """(B, 3, H, W) zeros with the derivatives of discontinuities seen by way of ideal mirrors and glass.
 
     Args:
-        call: of which something moves.
-        reflected: what is looked for.
+        call: the rendering, in which something moves.
+        reflected: the edges and lines to look for.
     """
     images = []
     with torch.no_grad():
@@ -115,7 +115,7 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
 
 
 class CurveCrossings(NamedTuple):
-    """K points where scans of the film cross discontinuity curves; detached."""
+    """K points at which scans of the film cross identified discontinuity curves; detached."""
 
     crossed: Crossings
     curves: Curves
@@ -124,13 +124,13 @@ class CurveCrossings(NamedTuple):
 
 
 def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, reflected: Reflected) -> Deposit | None:
-    """What jumps in a view add to its derivative; None: it has none.
+    """The derivative from a view's discontinuities seen in mirrors and glass, as a film deposit; None: there are none.
 
     Args:
         call: attached.
         searched: the view.
-        integrand: of the view, detached.
-        reflected: what is looked for.
+        integrand: for the view, detached.
+        reflected: the edges and lines to look for.
     """
     with torch.no_grad():
         found = jumping(searched, integrand, reflected.surfaces)
@@ -141,8 +141,8 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, r
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:
-    """(K,) float64 zeros, attached: how the levels of curves change at points of the film; args as of `_jumps_in_view`;
-    `lines`: of surfaces, attached."""
+    """(K,) float64 zeros, attached: the change of curves' level functions at fixed points of the film; args as of
+    `_jumps_in_view`; `lines`: of surfaces, attached."""
     crossed, curves, follows, _ = found
     view, draw = call.views[searched.number], draw_of(crossed)
     sample = camera_sample(call, view, crossed.low, crossed.aperture, crossed.key)
@@ -159,12 +159,12 @@ def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: Li
 
 
 def draw_of(crossed: Crossings) -> LightDraw | None:
-    """The light samples whose shadow borders were crossed."""
+    """The light samples whose shadow borders were crossed; None: none were searched."""
     return None if crossed.looks is None else crossed.looks.draw
 
 
 def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCrossings | None:
-    """The discontinuity curves of a view, with the jumps across them; None: there are none. Args as for `_jumps_in_view`."""
+    """The curves of a view, with the jumps across them; None: there are none. `surfaces`: not only shadow borders."""
     crossed = crossings_in_view(searched)
     if crossed is None:
         return None
@@ -186,7 +186,7 @@ def jumping(searched: Searched, integrand: Integrand, surfaces: bool) -> CurveCr
 
 
 def crossings_in_view(searched: Searched) -> Crossings | None:
-    """The crossings of curves by scans of a view; None: there are none."""
+    """Finds the crossings of curves by all scans of a view; None: there are none."""
     scans = scans_of(searched)
     if scans is None:
         return None
@@ -202,7 +202,7 @@ def crossings_in_view(searched: Searched) -> Crossings | None:
 
 
 def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """(3, K) float64 jump at crossed curves: radiance on the scan's low side less that on its high side."""
+    """(3, K) float64, the jumps at crossed curves: radiance on the scan's low side less that on its high side."""
     jump = torch.zeros(3, len(crossed.times), dtype=torch.float64, device=crossed.times.device)
     shadows = crossed.kind == SHADOW
     for chosen, of_some in ((~shadows, radiance_lost), (shadows, light_lost)):
@@ -213,7 +213,7 @@ def jumps_at(searched: Searched, integrand: Integrand, crossed: Crossings) -> Te
 
 
 def light_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """The jump at borders of shadows: the light of the sample alone whose shadow it is. Args and result as of `jumps_at`."""
+    """The jumps at shadow borders: the light of the light sample that one side lacks. Args and result as of `jumps_at`."""
     call, in_light = searched.call, (crossed.below.what & LIT) != 0
     lit = selected(in_light, crossed.below, crossed.above)
     state = path_of(call, lit.ray, crossed.key)._replace(cone=lit.cone)
@@ -224,7 +224,7 @@ def light_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> 
 
 
 def radiance_lost(searched: Searched, integrand: Integrand, crossed: Crossings) -> Tensor:
-    """The jump at other curves, of all radiance. Args and result as of `jumps_at`."""
+    """The jumps at curves other than shadow borders, of the whole radiance. Args and result as of `jumps_at`."""
     call = searched.call
     film = joined([crossed.low, crossed.high])
     aperture, key = (joined([part] * 2) for part in (crossed.aperture, crossed.key))
@@ -235,7 +235,7 @@ def radiance_lost(searched: Searched, integrand: Integrand, crossed: Crossings) 
 
 
 def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
-    """The derivatives of the crossed curves' level functions by the camera paths that see them."""
+    """The derivatives of the crossed curves' level functions by the rays of the camera paths that see them."""
     call, integrand = searched.call, follows_chains(integrand)
     sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
     chains = chains_of(integrand, started(call, sample), crossed.depth)
@@ -250,7 +250,7 @@ def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossin
 
 
 def slope_on_film(searched: Searched, crossed: Crossings, adj_start: Ray) -> Vec2:
-    """The derivative of level functions by the point of the film, (K,) float64; `adj_start`: by the paths' first rays."""
+    """The derivatives of level functions by film position, (K,) float64; `adj_start`: those by the paths' first rays."""
     call = searched.call
     with torch.enable_grad():
         film = Vec2(*(part.clone().requires_grad_() for part in crossed.low))

@@ -19,7 +19,7 @@ from torch_radbp.boundary.eye.light_points import light_points
 from torch_radbp.boundary.eye.seen_edges import salted
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
 from torch_radbp.boundary.eye.surfaces import Surfaces
-from torch_radbp.boundary.terms.border import Lights
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.call.render_call import RenderCall, started
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.sampling.running_sum import running_sum
@@ -38,7 +38,7 @@ ACROSS, DOWN = 0, 1  # the random numbers of a place
 
 
 class FilmPoints(NamedTuple):
-    """N points of the film, with the random numbers of their paths."""
+    """N points of the film, with the random numbers of the paths from there."""
 
     film: Vec2  # pixels from the upper left corner of the window; float64
     aperture: Vec2 | None  # on the lens
@@ -47,7 +47,7 @@ class FilmPoints(NamedTuple):
 
 
 class Searched(NamedTuple):
-    """A view that is searched for discontinuities, without derivatives."""
+    """A view whose film is scanned for discontinuities, without derivatives."""
 
     call: RenderCall
     number: int  # of the view
@@ -58,7 +58,7 @@ class Searched(NamedTuple):
 
 
 class Scans(NamedTuple):
-    """M centres, each of a horizontal and a vertical scan across its pixel."""
+    """M pixels to scan: the position of a horizontal and a vertical scan in each."""
 
     column: Tensor  # (M,) float64, left edge of the pixel, from the window's left edge
     row: Tensor  # (M,) float64, upper edge, likewise
@@ -70,7 +70,7 @@ class Scans(NamedTuple):
 
 
 def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
-    """Traces ideal paths from points of the film."""
+    """Traces ideal paths from points of the film, with light samples if these have any."""
     call = searched.call
     sample = camera_sample(call, call.views[searched.number], points.film, points.aperture, points.key)
     path = ideal_path(searched.integrand, started(call, sample), searched.tables)
@@ -78,12 +78,12 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 
 
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
-    """Compares the camera paths of pairs: how they differ first."""
+    """The first differences of the camera paths of pairs, see `path_difference`."""
     return path_difference(searched.call.stages, searched.tables, path, pairs)
 
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:
-    """Light samples whose shadow borders are searched; None: none are."""
+    """`count` light samples whose shadow borders are searched; None: no shadow borders are."""
     if not any(searched.lights):
         return None
     scene = searched.call.scene
@@ -93,7 +93,7 @@ def looks_of(searched: Searched, count: int) -> LightLooks | None:
 
 
 def scans_of(searched: Searched) -> Scans | None:
-    """The scans of a view; None: it sees neither mirrors nor glass."""
+    """Samples the scans of a view; None: it sees neither mirrors nor glass."""
     call = searched.call
     view = call.views[searched.number]
     paths = view.width * view.height * call.spp
@@ -116,7 +116,7 @@ def scans_of(searched: Searched) -> Scans | None:
 
 
 def pixel_weights(searched: Searched) -> Tensor:
-    """The expected number of scans per pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
+    """The expected number of scans in each pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
     call, most, shows, corners = searched.call, None, None, corners_of_pixels(searched)
     turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
     looks = looks_of(searched, turns * (1 + len(corners.x)))
@@ -132,7 +132,7 @@ def pixel_weights(searched: Searched) -> Tensor:
 
 
 def corners_of_pixels(searched: Searched) -> Vec2:
-    """The corners of a view's pixels, row by row, ((R + 1) (C + 1),) float64."""
+    """The film positions of the corners of a view's pixels, row by row, ((R + 1) (C + 1),) float64."""
     view = searched.call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1
     corner = torch.arange(width * height, dtype=torch.int32, device=searched.call.scene.device)
@@ -141,8 +141,8 @@ def corners_of_pixels(searched: Searched) -> Vec2:
 
 
 def looks_of_corners(looks: LightLooks | None, turns: int, turn: int, count: int) -> LightLooks | None:
-    """The light samples of one of some turns: all corners share one of a light without extent, beside whose shadow they see
-    different things; of other lights each has one of its own, which differ wherever a part of a lamp is hidden.
+    """The light samples of pixel corners in one of several turns: for a light without extent one that all share, beside
+    whose shadow they see different things; for other lights one each, which differ wherever a part of the lamp is hidden.
 
     Args:
         looks: one for each turn, and one for each corner in each.
@@ -156,7 +156,7 @@ def looks_of_corners(looks: LightLooks | None, turns: int, turn: int, count: int
 
 
 def corner_pass(searched: Searched, turn: int, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """One path per pixel corner: (R, C) float64 likelihood of a jump in each pixel, (R + 1, C + 1) bool: ideal surfaces."""
+    """Traces a path per pixel corner: (R, C) float64 likelihood of a jump in the pixel, (R + 1, C + 1) bool ideal hits."""
     call = searched.call
     view = call.views[searched.number]
     width, height = view.grid.columns + 1, view.grid.rows + 1
@@ -186,7 +186,7 @@ def corner_pass(searched: Searched, turn: int, film: Vec2, looks: LightLooks | N
 
 
 def points_of(scans: Scans) -> FilmPoints:
-    """The points of scans: all horizontal scans from left to right, M each, then the vertical ones."""
+    """The points of scans: those of all horizontal scans from left to right, M each, then those of the vertical ones."""
     shares = [step / STEPS for step in range(STEPS + 1)]
     x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
     y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]
@@ -196,6 +196,6 @@ def points_of(scans: Scans) -> FilmPoints:
 
 
 def neighbours(count: int, device: torch.device) -> Pairing:
-    """The indices of both end points of all steps of `count` scans, (2 STEPS M,) int64 each."""
+    """The indices of both end points of each step of `count` scans, (2 STEPS count,) int64 each."""
     first = torch.arange(2 * (STEPS + 1) * count, device=device).view(2, STEPS + 1, count)
     return Pairing(first[:, :-1].flatten(), first[:, 1:].flatten())

@@ -57,7 +57,7 @@ def passes_straight(scene: SceneTensors) -> bool:
 
 @shadow_term
 class SeenThrough(ShadowTerm):
-    """Edges that vertices of paths see through surfaces which let light pass straight."""
+    """The boundary term of edges that path vertices see through surfaces which let light pass straight."""
 
     rank = 4
     is_split = True
@@ -105,7 +105,7 @@ class SeenThrough(ShadowTerm):
 
 
 class Through(NamedTuple):
-    """N rays that pass straight through surfaces."""
+    """N rays from path vertices straight through surfaces."""
 
     ray: Ray
     hit: Hit  # the first surface
@@ -113,7 +113,7 @@ class Through(NamedTuple):
 
 
 def through(integrand: Integrand, start: Vec3, target: Vec3) -> Through:
-    """Traces rays from points, (N,) float64 world, straight through surfaces to occluded targets."""
+    """Traces rays from points, (N,) float64 world, straight through surfaces to targets behind these."""
     dtype, reach = integrand.proposal.dtype, target - start
     distance = torch.sqrt(dot(reach, reach)).clamp_min(TINY)
     d = reach * (1.0 / distance)
@@ -145,12 +145,12 @@ def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
 
 def _difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
                 ways: Sequence[Through]) -> Tensor:
-    """(3, N) float64 light beside edges less light on them that reaches the view, per unit of `cut_at`'s coordinates.
+    """(3, N) float64, the light beside edges less that on them that reaches the view, per unit of `cut_at`'s coordinates.
 
     Args:
-        points, at: the viewpoints, of which `passed.eye` are meant, and where they are.
-        passed: (N,) the places on edges.
-        ways: beside the edges, and on them.
+        points, at: the viewpoints, of which `passed.eye` are used, and their positions.
+        passed: (N,) the samples on edges.
+        ways: the rays beside the edges, and those onto them.
     """
     own, start = rows((points, at), passed.eye)
     beside, on = ways

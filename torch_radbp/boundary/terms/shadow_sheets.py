@@ -27,7 +27,7 @@ SALT = 0x4CF5AD43  # tells the random numbers of distances from others
 
 
 class SheetPoints(NamedTuple):
-    """N points on sheets; detached."""
+    """N points on sheets between light and shadow in media; detached."""
 
     edge: Tensor  # (N,) int32, of the outline
     along: Tensor  # (N,) float64, position along it
@@ -35,13 +35,13 @@ class SheetPoints(NamedTuple):
     share: Tensor  # (N,) float64, k
 
     def at(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Vec3:
-        """Where they are, (N,) world, attached; with a step, those farther along the edges by this share of them."""
+        """Their positions, (N,) world, attached; `step`: a shift along the edges, as a share of their lengths."""
         start, d, _ = light_line(scene, point_of_edge(geometry, outline, self.edge, self.along + step), self.draw)
         return start + d * self.share
 
 
 class SampledSheets(NamedTuple):
-    """N points on sheets, with what they stand for; detached."""
+    """N points on sheets between light and shadow in media, with the area for which each stands; detached."""
 
     points: SheetPoints
     p: Vec3  # where they are, world, float64
@@ -52,16 +52,16 @@ class SampledSheets(NamedTuple):
 
 
 def sampled_sheets(call: RenderCall, number: int, casting: Casting, lit: LitEdges, seen_from: Vec3) -> SampledSheets | None:
-    """Samples points on sheets, up to the surfaces beyond; None: there are none.
+    """Samples points on sheets between light and shadow, up to the surfaces beyond; None: there are none.
 
-    Distances are sampled so that points are seen from `seen_from` by an even share of the angle.
+    Distances from the edges are sampled uniformly in the angle seen from `seen_from`.
 
     Args:
         call: detached.
-        number: of the view.
+        number: the number of the view.
         casting: the edges.
-        lit: N places on these, as lights see them.
-        seen_from: (N,) world points, float64.
+        lit: N samples on these as lights see them.
+        seen_from: (N,) world points, float64, the viewpoints.
 
     Reference: Kulla and Fajardo 2012, "Importance Sampling Techniques for Path Tracing in Participating Media", section 3
     (equiangular sampling).
@@ -94,8 +94,8 @@ def sampled_sheets(call: RenderCall, number: int, casting: Casting, lit: LitEdge
 
 
 def evenly_turned(ray: Ray, seen_from: Vec3, reach: Tensor, turn: Tensor) -> tuple[Tensor, Tensor]:
-    """Distances along rays of unit direction up to `reach`, and their density over distance, (N,) each: even in the angle
-    by which they are seen from points; `turn`: uniform random numbers."""
+    """Distances along rays of unit direction up to `reach`, uniform in the angle seen from points `seen_from`, and their
+    density over distance, (N,) each; `turn`: uniform random numbers."""
     nearest = dot(seen_from - ray.o, ray.d)
     off = seen_from - ray.o - ray.d * nearest
     height = torch.sqrt(dot(off, off)).clamp_min(TINY)

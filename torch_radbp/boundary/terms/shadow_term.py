@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class ShadowSearch(NamedTuple):
-    """A call of which something moves, and what hides light in its scene."""
+    """A call in which something moves, and the edges and curves that cut off light in its scene."""
 
     call: RenderCall  # attached
     still: RenderCall  # without derivatives
@@ -41,7 +41,7 @@ class ShadowSearch(NamedTuple):
 
 
 class TermSize(NamedTuple):
-    """The greatest memory of a term's samples in a view."""
+    """The greatest memory that a term needs in a view."""
 
     search: int = 0  # bytes, while edges are looked for
     found: int = 0  # samples, while it is computed how they move
@@ -49,9 +49,9 @@ class TermSize(NamedTuple):
 
 
 class CutOff(NamedTuple):
-    """K samples of borders at which light that reaches a view is cut off; detached.
+    """K samples on borders at which light that reaches a view is cut off; detached.
 
-    A border sweeps an area where its edge moves outwards; by that, parts of the derivative are compared (`split.py`).
+    `sweep`, the area that the border sweeps if its edge moves outwards, serves to compare terms (`split.py`).
     """
 
     place: Vec2  # on the film, of the paths that see them: pixels from the upper left corner of the window
@@ -61,16 +61,16 @@ class CutOff(NamedTuple):
     sweep: Tensor | None = None  # (K,) swept area if all edges move by an equal step; None: unknown
 
     def independent(self) -> Tensor:
-        """The contributions in independent parts, see `split.SampledIntegral`: each sample by itself."""
+        """The image changes in independent parts, here single samples; see `split.SampledIntegral`."""
         return self.strength * self.sweep
 
 
 def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff | None:
-    """The samples at which there is any light; None: there are none.
+    """The `CutOff` of those samples at which there is any light; None: there are none.
 
     Args:
         place, samples: as of `CutOff`.
-        course: of the border.
+        course: the `Course` of the border.
         light: (3, N) float64, on the side of the border that is not in shadow.
     """
     lost = torch.where((course.normal.x != 0.0) | (course.normal.y != 0.0), light, 0.0)
@@ -82,14 +82,14 @@ def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff 
 
 
 class ShadowTerm(ABC):
-    """One of the integrals of light that edges or curves cut off.
+    """The interface of a boundary term of shadows: an integral of light that edges or curves cut off.
 
     Attributes:
-        rank: its place among the terms. Of the first all samples are taken.
-        needs: what of the search there has to be.
-        through_media: it follows rays through boundaries of media.
-        is_split: as many samples are taken as pay off beside the first term: `samples` takes a `split.Amount`, too, and they
-            are `cuts.CutsOfView`.
+        rank: the order among terms. For the first all samples are taken.
+        needs: the fields of `ShadowSearch` that must not be None.
+        through_media: True if it follows rays through boundaries of media.
+        is_split: as many samples are taken as pay off beside the first term; `samples` takes a `split.Amount`, too, and
+            returns `cuts.CutsOfView`.
     """
 
     rank: ClassVar[int]
@@ -102,33 +102,33 @@ class ShadowTerm(ABC):
 
     @classmethod
     def size(cls, call: RenderCall) -> TermSize:
-        """The greatest memory of its samples, whatever is found."""
+        """The greatest memory that the term's samples need in a view."""
         return TermSize()
 
     @classmethod
     def turns(cls, call: RenderCall) -> bool:
-        """True if the term has a part in the derivative even where no shadow moves."""
+        """True if the term contributes to the derivative even where no shadow moves."""
         return False
 
     @abstractmethod
     def applies(self) -> bool:
-        """True if the term has a part in the derivative."""
+        """True if the term contributes to the derivative."""
 
     @abstractmethod
     def samples(self, number: int) -> Any:
-        """Samples places at which light that reaches view `number` is cut off, detached; None: there are none."""
+        """Samples points at which light that reaches view `number` is cut off, detached; None: there are none."""
 
     def left_out(self, rendering: Rendering) -> set[str]:
-        """The parameters that move places of the term, as far as it is off and a few samples find them; `call` is eager."""
+        """The parameters that move borders of the term, if it is off and a few samples find them; `call` is eager."""
         return set()
 
     def jumps(self, number: int, found: Any) -> list[Deposit]:
-        """What places, `found` by `samples`, add to the derivative of view `number`; attached."""
+        """The derivative from the samples `found` by `samples`, as deposits on the film of view `number`; attached."""
         seen = self.seen(number, attached_geometry(self.call.scene), found)
         return [Deposit(found.place, found.strength.unbind(), swept_areas(seen, found.normal))]
 
     def seen(self, number: int, geometry: Geometry, found: CutOff) -> Vec2:
-        """Where samples are, attached, in two coordinates in which their border sweeps areas; `geometry`: attached."""
+        """The positions of samples, attached, in two coordinates in which borders sweep areas; `geometry`: attached."""
         raise NotImplementedError
 
 
@@ -138,14 +138,14 @@ SHADOW_TERMS: list[type[ShadowTerm]] = []
 
 
 def shadow_term(term: Term) -> Term:
-    """Registers a term."""
+    """Registers a shadow term; a class decorator."""
     SHADOW_TERMS.append(term)
     SHADOW_TERMS.sort(key=lambda other: other.rank)
     return term
 
 
 def terms_of(search: ShadowSearch) -> list[ShadowTerm]:
-    """The terms that have a part in the derivative of a call."""
+    """The terms that contribute to the derivative of a call."""
     segments = search.call.scene.layout.traces_segments
     terms = [term(search) for term in SHADOW_TERMS
              if all(getattr(search, name) is not None for name in term.needs) and (term.through_media or not segments)]
@@ -153,7 +153,7 @@ def terms_of(search: ShadowSearch) -> list[ShadowTerm]:
 
 
 def films_have_area(call: RenderCall) -> bool:
-    """True if pixels of all views have an area; along a single ray there is no border to be seen."""
+    """True if pixels of all views have an area; along single rays no borders are seen."""
     return all(view.camera.kind.has_area for view in call.views)
 
 
@@ -164,16 +164,16 @@ def follows_mirrors(call: RenderCall) -> bool:
 
 
 def glues(call: RenderCall) -> bool:
-    """True if random hits of paths are fixed to surfaces, except behind rough glass."""
+    """True if random next hits of paths are fixed to surfaces, except after rough glass."""
     return call.integrand.settings.sampling != "attached"
 
 
 def follows(call: RenderCall) -> bool:
-    """True if some random hits of paths follow directions that carry derivatives."""
+    """True if some random next hits of paths follow directions that carry derivatives."""
     return not glues(call) or call.integrand.settings.following
 
 
 def sharp_lights_later(call: RenderCall) -> bool:
-    """True if lights without extent are sampled at the second vertices of paths, or later ones."""
+    """True if lights without extent are sampled at second or later vertices of paths."""
     settings, lights = call.integrand.settings, call.scene.layout.lights
     return settings.nee and call.integrand.max_depth > 2 and any(kind.delta for kind in lights)

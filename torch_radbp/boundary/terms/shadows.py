@@ -45,12 +45,12 @@ def shadows_move(call: RenderCall) -> bool:
 
 
 def slides_over_edges(call: RenderCall) -> bool:
-    """True if shadow borders move, or directions that carry derivatives turn."""
+    """True if shadow borders move, or scattered directions that carry derivatives turn."""
     return shadows_move(call) or any(term.turns(call) for term in SHADOW_TERMS)
 
 
 def bytes_of_shadows(call: RenderCall) -> int:
-    """The greatest memory of samples on shadow borders."""
+    """The greatest memory in bytes of samples on shadow borders."""
     sizes = [term.size(call) for term in SHADOW_TERMS]
     edges = outlines_of(call.module).edges_expected(len(call.scene.triangles.material))
     found, kept = (sum(numbers) for numbers in list(zip(*sizes))[1:])
@@ -60,13 +60,13 @@ def bytes_of_shadows(call: RenderCall) -> int:
 
 def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments | None,
                  lines: LineNumbers | None = None) -> Tensor:
-    """(B, 3, H, W) zeros whose derivative is what borders of shadows contribute to the image.
+    """(B, 3, H, W) zeros with the derivatives that shadow borders contribute to the images.
 
     Args:
-        call: of which something moves.
-        casting: the edges of all that casts shadows; None: nothing moves these.
-        crossing: where surfaces pass through each other, of which something moves, and lines that slide; None: nowhere.
-        lines: what those follow, attached.
+        call: the rendering, in which something moves.
+        casting: the edges of everything that casts shadows; None: nothing moves shadows.
+        crossing: intersections of surfaces that move, and texture lines that slide; None: there are none.
+        lines: the coefficients of those lines, attached.
     """
     still, images = call.still(), []
     facts = cache(still.facts)
@@ -86,7 +86,7 @@ def shadow_jumps(call: RenderCall, casting: Outline | None, crossing: Segments |
 
 
 def shadows_left_out(rendering: Rendering) -> set[str]:
-    """The parameters that move places of terms that are off, in all of each film; by a few samples, in plain torch."""
+    """The parameters that move shadow borders of terms that are off, anywhere on the films, found by a few samples."""
     call = rendering.call.still()
     views = [view._replace(window=view.sensor.film.window(), camera=whole_sight(view, view.camera.lens).camera)
              for view in call.views]

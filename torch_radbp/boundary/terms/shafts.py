@@ -29,7 +29,8 @@ from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numb
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, flown_along, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import EdgesFromLights, Lights, samples_of, share_of
+from torch_radbp.boundary.terms.border import EdgesFromLights, samples_of, share_of
+from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.shadow_sheets import SampledSheets, SheetPoints, sampled_sheets
 from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, films_have_area, glues, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_sheets
@@ -50,7 +51,7 @@ SALT = 0x7A1D3B65  # tells the random numbers of these paths from others
 
 
 class LitInMedium(NamedTuple):
-    """What is scattered of light beside sheets, towards vertices; (N,), detached."""
+    """The light that media scatter towards viewpoints right beside sheets of shadow; (N,), detached."""
 
     light: Tensor  # (3, N) float64, radiance per length of the ray; 0: none
     ray: Ray  # from the vertex to the point
@@ -59,29 +60,29 @@ class LitInMedium(NamedTuple):
 
 
 class SeenFromCamera(NamedTuple):
-    """Camera rays that see K points of media; detached."""
+    """The film points and keys of camera rays that see K points in media; detached."""
 
     film: Vec2  # where they pass the film
     aperture: Vec2 | None  # and the lens
     key: LaneKey  # of random numbers
 
     def rays(self, call: RenderCall, number: int, geometry: Geometry, lit: LitInMedium) -> Ray:
-        """The rays, (K,), attached; args as for `carried`."""
+        """The camera rays, (K,), attached; args as for `carried`."""
         return camera_sample(call, call.views[number], self.film, self.aperture, self.key).ray
 
 
 class SeenFromVertices(NamedTuple):
-    """Vertices of paths that see K points of media; detached."""
+    """The path vertices that see K points in media; detached."""
 
     points: Viewpoints
 
     @property
     def key(self) -> LaneKey:
-        """Of random numbers."""
+        """The keys of the paths' random numbers."""
         return self.points.key
 
     def rays(self, call: RenderCall, number: int, geometry: Geometry, lit: LitInMedium) -> Ray:
-        """The rays to the points, (K,), attached: their directions are fixed to the surfaces behind. Args as for
+        """The rays to the points, (K,), attached; their directions are fixed to the surfaces behind. Args as for
         `carried`."""
         met = is_met(detached(call.scene), lit.behind)
         behind = lit.behind._replace(prim=torch.where(met, lit.behind.prim, -1))
@@ -94,7 +95,7 @@ class SeenFromVertices(NamedTuple):
 
 
 class ShaftsInView(NamedTuple):
-    """K points on sheets that a view sees; detached."""
+    """K points on sheets between light and shadow that a view sees; detached."""
 
     place: Vec2  # on the film
     strength: Tensor  # (3, K) float64, light gained per volume that the sheet sweeps
@@ -106,7 +107,7 @@ class ShaftsInView(NamedTuple):
 
 @shadow_term
 class Shafts(ShadowTerm):
-    """Sheets between light and shadow in media, as cameras and vertices of paths see them."""
+    """The boundary term of sheets between light and shadow in media, as cameras and path vertices see them."""
 
     rank = 9
     through_media = True
@@ -138,14 +139,14 @@ class Shafts(ShadowTerm):
 
 
 def has_shafts(call: RenderCall) -> bool:
-    """True if media scatter light whose sheets are looked for."""
+    """True if media scatter light of lights whose shafts are sampled."""
     integrand, layout = call.integrand, call.scene.layout
     return glues(call) and bool(layout.scattering_media) and integrand.max_depth > 1 and bool(
         Lights.with_shafts(call).of(call.scene).any())
 
 
 def seen_by_camera(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
-    """Points on sheets that the camera of view `number` sees; None: there are none."""
+    """Samples points on sheets between light and shadow that the camera of view `number` sees; None: there are none."""
     call, casting = edges.call, edges.casting
     lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
@@ -174,7 +175,7 @@ def seen_by_camera(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
 
 
 def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None:
-    """Points on sheets that vertices of paths of view `number` see; None: there are none."""
+    """Samples points on sheets between light and shadow that path vertices of view `number` see; None: there are none."""
     call, casting = edges.call, edges.casting
     lit = edges.lit(number, Lights.with_shafts(call), share_of(call.scene))
     if lit is None:
@@ -205,7 +206,7 @@ def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None
 
 def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMedium,
              seen_from: SeenFromCamera | SeenFromVertices) -> ShaftsInView | None:
-    """Those of which any light is seen; None: there are none. Args as of `ShaftsInView`."""
+    """The `ShaftsInView` of those points in media at which light is seen, None if none; args as of `ShaftsInView`."""
     kept = ((strength != 0) & torch.isfinite(strength)).any(0).nonzero().squeeze(1)
     place, area, points, ways, seen_from = rows((place, sheets.area, sheets.points, lit[1:], seen_from), kept)
     lit = LitInMedium(lit.light[:, kept], *ways)
@@ -213,13 +214,13 @@ def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMed
 
 
 def lit_in_medium(integrand: Integrand, state: PathState, sheets: SampledSheets, depth: int) -> LitInMedium:
-    """What media scatter along rays of the light right beside sheets.
+    """The light that media scatter back along rays, right beside sheets between light and shadow.
 
     Args:
-        integrand: the view's, of a detached scene.
-        state: (N,) rays towards the points.
-        sheets: (N,) these.
-        depth: of the vertices there.
+        integrand: for the view, with a detached scene.
+        state: (N,) path states with rays towards the points.
+        sheets: (N,) the points.
+        depth: the depth of the vertices at the points.
     """
     scene, ray, passed = integrand.proposal, state.ray, sheets.passed
     reach, one = sheets.lit - ray.o, torch.ones_like(ray.d.x)
@@ -254,12 +255,12 @@ def lit_in_medium(integrand: Integrand, state: PathState, sheets: SampledSheets,
 
 
 def carried(call: RenderCall, number: int, geometry: Geometry, own: ShaftsInView) -> Vec3:
-    """The points of the medium, (K,) world, float64, attached: they keep their share of the way to the surface behind.
+    """The points in the medium, (K,) world, float64, attached: they keep their share of the way to the surface behind.
 
     Args:
-        call, number: of the view; attached.
-        geometry: of its scene, attached.
-        own: the points.
+        call, number: the rendering, attached, and the number of the view.
+        geometry: of the scene, attached.
+        own: the points on sheets.
     """
     ray = own.seen_from.rays(call, number, geometry, own.lit)
     return flown_along(call, ray, own.seen_from.key, own.lit.behind, own.lit.flight)

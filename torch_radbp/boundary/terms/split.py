@@ -31,14 +31,14 @@ SALT = 0x5851F42D  # tells the random numbers of what is tried from others
 
 
 class SampledIntegral(Protocol):
-    """Samples of one boundary integral."""
+    """The interface of the samples of one boundary integral."""
 
     def independent(self) -> Tensor:
-        """(3, N) image changes for equal motion of all edges, in independent parts: the variance is the sum of squares."""
+        """(3, N) changes of the image if all edges move alike, in independent parts: the variance is the sum of squares."""
 
 
 class Amount(NamedTuple):
-    """The number of samples of an integral, as shares of the most."""
+    """The number of samples of an integral, as shares of the greatest number."""
 
     counted: float = 1.0
     tried: float = 0.0  # additional pilot samples with other random numbers, which only estimate noise
@@ -49,42 +49,42 @@ ALL = Amount()
 
 
 def trying(call: RenderCall) -> RenderCall:
-    """The call with separate random numbers for pilot samples."""
+    """The call with other random numbers, for pilot samples."""
     return with_numbers(call, SALT)
 
 
 def with_numbers(call: RenderCall, salt: int) -> RenderCall:
-    """The call with other random numbers."""
+    """The call with random numbers that a salt changes."""
     return call.with_views([view._replace(sample_keys=tuple(
         SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
 
 def is_worth_trying(call: RenderCall, number: int) -> bool:
-    """True if view `number` has so many samples that dividing them pays off.
+    """True if view `number` has so many samples that dividing them among integrals pays off.
 
-    Borders of light without extent are single curves, on which places are spread so evenly that their sum has far less noise
-    than independent ones: where there are any, all samples are taken.
+    Shadow borders of lights without extent are single curves, on which samples are spread so evenly that their sum has far
+    less noise than independent samples: if there are any, all samples are taken.
     """
     view, lights = call.views[number], call.scene.layout.lights
     return view.width * view.height * call.spp >= WORTH and not any(kind.delta for kind in lights)
 
 
 def variance(found: SampledIntegral | None) -> float:
-    """The variance of an integral's sum for equal motion of all edges; 0 for None."""
+    """The variance of an integral's estimate for equal motion of all edges; 0 for None."""
     return 0.0 if found is None else squares(found.independent())
 
 
 def squares(amounts: Tensor) -> float:
-    """The sum of squares of an integral's finite contributions, (3, N)."""
+    """The sum of the squares of an integral's finite contributions, (3, N)."""
     return float(torch.where(torch.isfinite(amounts), amounts, 0.0).square().sum())
 
 
 def effort(first: float, tried: SampledIntegral | None) -> float:
-    """The share of its samples that pays off for an integral.
+    """The share of an integral's samples that pays off.
 
     Args:
-        first: variance of the first integral, with all of its samples.
-        tried: the other, with a share of `TRIED`; None: nothing of it counts.
+        first: the variance of the first integral, with all of its samples.
+        tried: pilot samples of this integral, a share of `TRIED`; None: there are none.
     """
     return min(1.0, max(LEAST, (TRIED * variance(tried) / (COST * first))**0.5)) if first > 0.0 else 1.0
 
@@ -93,8 +93,8 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
     """Takes as many samples of an integral as pay off; None: there are none.
 
     Args:
-        first: variance of the first integral, with all of its samples.
-        found: gives so many cuts.
+        first: the variance of the first integral, with all of its samples.
+        found: takes samples of the integral, of a given amount.
     """
     some = found(Amount(LEAST, TRIED))
     tried, some = (None, None) if some is None else some.parted()
@@ -107,12 +107,12 @@ def as_worth(first: float, found: Callable[[Amount], CutsOfView | None]) -> Cuts
 
 
 def samples_of_view(still: RenderCall, number: int, terms: Sequence[ShadowTerm]) -> list[Any]:
-    """The samples of each term for a view: of the first all, of the others as many as pay off.
+    """The samples of each term in a view: for the first all, for the others as many as pay off.
 
     Args:
-        still: without derivatives.
+        still: the call without derivatives.
         number: of the view.
-        terms: of the call.
+        terms: the terms of the call.
     """
     found = [term.samples(number) for term in terms[:1]]
     splits = any(term.is_split for term in terms[1:]) and is_worth_trying(still, number)

@@ -41,19 +41,19 @@ ENDS = 0.02, 0.98  # shares of the way along an edge at which it is asked where 
 
 
 class LightOfEdges(NamedTuple):
-    """The light that passes both ends of N edges; float64."""
+    """The rays of light that pass both ends of N edges; float64."""
 
     a: Ray  # starts at the light, unless that is parallel
     b: Ray
     parallel: Tensor  # (N,) bool
 
     def density(self, along: Tensor) -> Tensor:
-        """The density along edges of samples that are distributed as the light sees them, p_0."""
+        """The density of positions along edges that are sampled as the light sees them, p_0."""
         return torch.where(self.parallel, 1.0, density_seen(self.a.d, self.b.d, along))
 
 
 class EdgeShadow(NamedTuple):
-    """The shadows of N edges on planes, relative to a point."""
+    """The shadows of N edges on planes, relative to a point from which they are seen."""
 
     a: Vec3  # vector from the point to the shadow of the edge's a
     b: Vec3
@@ -62,26 +62,26 @@ class EdgeShadow(NamedTuple):
     exists: Tensor  # (N,) bool
 
     def along(self, turn: Tensor) -> Tensor:
-        """Positions along edges whose shadows are at a fraction `turn` of the angle seen from the point."""
+        """The positions on edges whose shadows lie at a fraction `turn` of the angle seen from the point."""
         met, _ = evenly_seen(self.a, self.b, turn)
         one, other = met * self.height_a, (1.0 - met) * self.height_b
         return torch.where(self.exists, one / torch.where(self.exists, one + other, 1.0), turn)
 
     def density(self, along: Tensor) -> Tensor:
-        """The probability density, along edges, of the positions that `along` returns for uniform fractions."""
+        """The density along edges of the positions that `along` returns for uniform fractions."""
         one, other = along * self.height_b, (1.0 - along) * self.height_a
         total = torch.where(self.exists, one + other, 1.0)
         return density_seen(self.a, self.b, one / total) * (self.height_a * self.height_b / (total * total))
 
 
 def spread_borders(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec3, choice: Tensor, turn: Tensor) -> Passed:
-    """Moves samples along their edges, towards those whose borders are close to path vertices; (N,), detached.
+    """Moves samples along their edges, so that their shadow borders lie closer to path vertices; (N,), detached.
 
     Args:
         call: detached.
         outline: the edges.
-        lit: the places as lights have them.
-        start: (N,) world, the vertices of paths that they are connected to.
+        lit: the samples on edges as lights see them.
+        start: (N,) world, the path vertices to which they are connected.
         choice, turn: (N,) uniform numbers.
     """
     planes = planes_met(call, geometry_of(call.scene), outline, lit)
@@ -89,8 +89,8 @@ def spread_borders(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec
 
 
 def spread_sheets(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec3, choice: Tensor, turn: Tensor) -> Passed:
-    """The same towards those behind which light ends close to path vertices, wherever there: on planes through these, across
-    the light. Args as for `spread_borders`."""
+    """Moves samples along their edges, so that sheets of shadow pass closer to path vertices, by the shadows on planes
+    through these, across the light. Args as for `spread_borders`."""
     frame = Frame.of(normalize(lit.passed.onwards.d.map(torch.Tensor.double)))
     plane = (start, start + frame.s, start + frame.t), torch.ones_like(lit.passed.edge, dtype=torch.bool)
     return spread_on_planes(call, outline, lit, [plane], start, (choice, turn))
@@ -98,8 +98,8 @@ def spread_sheets(call: RenderCall, outline: Outline, lit: LitEdges, start: Vec3
 
 def spread_on_planes(call: RenderCall, outline: Outline, lit: LitEdges, planes: list[tuple[Corners, Tensor]], start: Vec3,
                      numbers: tuple[Tensor, Tensor]) -> Passed:
-    """Moves samples along their edges by the shadows of these on planes, as of `planes_met`; `numbers`: `choice` and `turn`.
-    The other args as for `spread_borders`."""
+    """Moves samples along their edges by the shadows of these on planes, as from `planes_met`; `numbers`: `choice` and
+    `turn`. Other args as for `spread_borders`."""
     geometry, passed, (choice, turn) = geometry_of(call.scene), lit.passed, numbers
     draw = rows(lit.draw, passed.eye)
     light = light_of_edges(call.scene, geometry, outline, passed, draw)
@@ -117,14 +117,14 @@ def spread_on_planes(call: RenderCall, outline: Outline, lit: LitEdges, planes: 
 
 def light_of_edges(scene: SceneTensors, geometry: Geometry, outline: Outline, passed: Passed,
                    draw: LightDraw) -> LightOfEdges:
-    """The light of samples, (N,), that passes both ends of the sampled edges."""
+    """The light of samples, (N,), that passes both ends of their edges."""
     ends = [point_of_edge(geometry, outline, passed.edge, torch.full_like(passed.along, end)) for end in (0.0, 1.0)]
     (start_a, to_a, parallel), (start_b, to_b, _) = (light_line(scene, end, draw) for end in ends)
     return LightOfEdges(Ray(start_a, to_a), Ray(start_b, to_b), parallel)
 
 
 def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitEdges) -> list[tuple[Corners, Tensor]]:
-    """The triangles on which shadows fall right beside both ends of edges, and whether there are any, (N,) bool."""
+    """The triangles on which the shadows of both ends of edges fall, and whether there are any, (N,) bool."""
     own, found = rows(lit.eyes, lit.passed.eye), []
     for end in ENDS:
         p = point_of_edge(geometry, outline, lit.passed.edge, torch.full_like(lit.passed.along, end))
@@ -135,7 +135,7 @@ def planes_met(call: RenderCall, geometry: Geometry, outline: Outline, lit: LitE
 
 
 def span_on(corners: Corners, exists: Tensor, light: LightOfEdges, start: Vec3) -> EdgeShadow:
-    """The shadows of edges on planes; they exist if both ends lie on the same side of the light's origin."""
+    """The shadows of edges on the planes of triangles; they exist if both ends lie on one side of the light's origin."""
     n = cross(corners[1] - corners[0], corners[2] - corners[0])
     heights = [dot(n, ray.d) for ray in (light.a, light.b)]
     exists = exists & (heights[0] * heights[1] > 0.0)

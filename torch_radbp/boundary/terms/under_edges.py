@@ -39,7 +39,7 @@ from torch_radbp.tensors.vec import TINY, Ray, Vec2, Vec3, cross, dot, interpola
 
 
 class Strips(NamedTuple):
-    """K samples on edges that lie on surfaces, each with a light sample; detached."""
+    """K samples on edges that rest on surfaces, each with a light sample; detached."""
 
     places: Places  # on the triangles at the edges
     draw: LightDraw
@@ -48,7 +48,7 @@ class Strips(NamedTuple):
 
 @shadow_term
 class OpeningStrips(ShadowTerm):
-    """Strips that the camera sees open below edges which lie on a surface."""
+    """The boundary term of strips that become visible below edges which rest on a surface, when these rise."""
 
     rank = 2
     needs = "casting", "crossing"
@@ -102,14 +102,14 @@ class OpeningStrips(ShadowTerm):
 
 
 def shadow_of(scene: SceneTensors, geometry: Geometry, strips: Strips, p: Vec3) -> Vec3:
-    """The points at which light through p, (N,), meets the plane of the surface below; (N,) world, attached."""
+    """The points at which light through p, (N,), meets the surface below the edge; (N,) world, attached."""
     start, d, _ = light_line(scene, p, strips.draw)
     corners = place_of(geometry, strips.surface.prim, strips.surface.instance)
     return interpolated(corners, *crossed_at(corners, Ray(start, d)))
 
 
 class AcrossEdge(NamedTuple):
-    """The plane perpendicular to edges at N samples; detached."""
+    """The directions in the plane perpendicular to edges at N samples; detached."""
 
     outwards: Vec3  # unit, along the surface, away from the body, towards the camera
     upwards: Vec3  # unit normal of the surface
@@ -119,7 +119,7 @@ class AcrossEdge(NamedTuple):
 
 
 def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3) -> AcrossEdge:
-    """The frame across edges that rest on surfaces; `to_light`: (N,) from the samples, of any length."""
+    """The `AcrossEdge` of edges that rest on surfaces; `to_light`: (N,) from the samples, of any length."""
     corners = positions(geometry, places.between, places.instance)
     passed = place_of(geometry, places.through, places.shown_by)
     to_camera = sight.camera.kind.towards(sight.camera.lens, places.p, places.aperture)
@@ -135,12 +135,12 @@ def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3
 
 
 def _beside(sight: Sight, places: Places, outwards: Vec3, extent: Tensor) -> Vec2:
-    """Points of the film right beside samples, where the surface is visible."""
+    """The film positions of points right beside samples, where the surface below is visible."""
     return on_film(sight.camera, places.p + outwards * (BESIDE * extent), places.aperture)
 
 
 def lit(call: RenderCall, places: Places, across: AcrossEdge, line: tuple[Vec3, Vec3, Tensor], extent: Tensor) -> Tensor:
-    """(N,) bool: lights are visible from points right beside the edges, on the lit side."""
+    """(N,) bool: the light sample is visible from the point right beside the edge, on the lit side."""
     start, d, parallel = line
     length = torch.sqrt(dot(d, d)).clamp_min(TINY)
     o = places.p + (across.aside + across.upwards) * (BESIDE * extent)

@@ -39,22 +39,22 @@ class Caustic(NamedTuple):
                 f"mirror or smooth glass")
 
     def lacking(self) -> SceneWarning:
-        """The warning that the image lacks it."""
+        """The warning that the image lacks the caustic."""
         return SceneWarning(f"{self.text}: paths from the camera cannot find such caustics of lights without extent, and "
                             f"the image lacks them. Take light_paths=\"caustics\", whose paths begin at the lamps, too, or "
                             f"give the light an extent, such as a small sphere with an area emitter")
 
     def traced(self) -> SceneWarning:
-        """The note that paths from the lamps bring it."""
+        """The note that paths from the lamps bring the caustic."""
         return SceneWarning(f"{self.text}: as many paths as from the camera begin at the lamps, which find such caustics "
                             f"(light_paths=\"auto\"). Say light_paths=\"caustics\" to have them, or \"camera\" to do "
                             f"without, and without this note. What of them is seen in mirrors and through glass is missing")
 
 
 def caustic_of(rendering: Rendering) -> Caustic | None:
-    """A light without extent that lights surfaces by way of smooth mirrors or glass, or None.
+    """A light without extent that lights surfaces by way of smooth mirrors or glass; None: none is found.
 
-    Looked for by rays from the light, which glass does not bend here.
+    It is searched by rays from the light, which pass glass unbent.
     """
     kinds = [[bsdf.kind() for bsdf in one_sided([shape.bsdf])] for shape in rendering.shapes]
     ideal = [all(kind.delta and not kind.smooth and not kind.invisible for kind in sides) for sides in kinds]
@@ -69,7 +69,7 @@ def caustic_of(rendering: Rendering) -> Caustic | None:
 
 
 def delta_lights(rendering: Rendering) -> Iterator[tuple[Emitter, ShadowSource]]:
-    """Yields the emitters without extent, with their positions or directions."""
+    """Yields the emitters without extent, each with its position or direction."""
     caster = rendering.call.caster
     for emitter in rendering.scene.emitters:
         source = emitter.source()
@@ -83,12 +83,12 @@ def delta_lights(rendering: Rendering) -> Iterator[tuple[Emitter, ShadowSource]]
 
 
 def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[Kind]], ideal: list[bool]) -> int | None:
-    """The first mirror or glass through which light reaches a surface that shows it; None: none is found.
+    """The number of the first mirror or glass shape by way of which light reaches a surface that shows it; None: none.
 
     Args:
         rendering: that is about to start.
-        source: of the light.
-        kinds: of each shape, how its sides scatter.
+        source: the position or direction of the light.
+        kinds: for each shape, the kinds of BSDF of its sides.
         ideal: True for shapes that only reflect or refract as ideal mirrors and glass do.
     """
     vertices, faces, counts = rendering.seen
@@ -121,7 +121,7 @@ def first_on_a_way(rendering: Rendering, source: ShadowSource, kinds: list[list[
 
 
 def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
-    """A position for a light, (3,); a directional one is moved far away from the mesh.
+    """The position of a light, (3,); for a directional light one far away from the mesh.
 
     Args:
         place: (4,) homogeneous: a position, or with 0 at the end the direction towards it; float64.
@@ -134,10 +134,10 @@ def viewpoint(place: Tensor, vertices: Tensor) -> Tensor:
 
 
 def shapes_met(rendering: Rendering, o: Tensor, d: Tensor) -> Tensor:
-    """The shape that each ray hits, (N,) int64; -1: a miss."""
+    """The number of the shape that each ray hits, (N,) int64; -1: a miss."""
     return _shapes_of(rendering, rendering.call.caster.intersect(ray_from(o, d)).prim)
 
 
 def _shapes_of(rendering: Rendering, prim: Tensor) -> Tensor:
-    """The shape that each triangle belongs to, (N,) int64; -1 for -1."""
+    """The number of the shape to which each triangle belongs, (N,) int64; -1 for -1."""
     return torch.where(prim >= 0, rendering.shape_of[prim.clamp_min(0).long()], -1)

@@ -24,10 +24,10 @@ OPEN = 1e-3  # ratio of the sum of area-weighted normals to the area from which 
 
 
 def inward_faces(rendering: Rendering) -> SceneWarning | None:
-    """The warning that the camera sees closed surfaces from outside whose one-sided faces point inwards, or None.
+    """The warning that closed surfaces seen from outside have one-sided faces that point inwards; None: none have.
 
-    Such a surface encloses a negative volume, and the camera rays that meet it meet it from behind, but for some at the rim,
-    where normals of vertices turn back. A room that is seen from inside faces inwards, too, but is met from the front.
+    Such a surface encloses a negative volume, and camera rays hit it from behind, but for some at the rim, where vertex
+    normals turn back. A room that is seen from inside faces inwards, too, but is hit from the front.
     """
     one_sided = [number for number, shape in enumerate(rendering.shapes) if is_one_sided(shape)]
     if not one_sided:
@@ -71,7 +71,7 @@ def is_one_sided(shape: Surface) -> bool:
 
 
 def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
-    """True if a surface may enclose a negative volume: its fronts face inwards; a quick test without regard to neighbours.
+    """True if a surface may enclose a negative volume, as faces that point inwards do; a quick test without neighbours.
 
     Args:
         triangles: of the scene, detached.
@@ -95,5 +95,5 @@ def has_negative_volume(triangles: TriangleTable, own: range) -> bool:
 
 
 def is_closed(vertices: Tensor, faces: Tensor) -> bool:
-    """True if each edge of a surface has two triangles; arguments as of `edges_of`."""
+    """True if each edge of a surface has exactly two triangles; args as of `edges_of`."""
     return bool((edges_of(vertices, faces).count == 2).all())

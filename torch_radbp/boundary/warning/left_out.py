@@ -23,7 +23,7 @@ MOST_EDGES = 1 << 18  # that are looked at
 
 
 def silhouettes_left_out(rendering: Rendering) -> dict[str, int]:
-    """The parameters that move silhouettes in view, with the number of edges."""
+    """The differentiated parameters that move silhouettes in view, each with the number of edges."""
     scene, own, missing = rendering.call.still_scene, moving_in(rendering), Counter()
     everything, geometry = Moving(*((True,) * len(part) for part in own)), geometry_of(scene)
     for moving in (own, everything) if any(rendering.camera_movers) else (own,):
@@ -44,7 +44,7 @@ def silhouettes_left_out(rendering: Rendering) -> dict[str, int]:
 
 
 def silhouettes_in_view(geometry: Geometry, outline: Outline, sight: CameraSight) -> Tensor:
-    """The edges that are silhouettes in view of a camera, int64, of some if they are many.
+    """The indices of edges that are silhouettes in view of a camera, int64; of many edges only some are tested.
 
     `geometry`: of the scene, detached.
     """
@@ -57,7 +57,7 @@ def silhouettes_in_view(geometry: Geometry, outline: Outline, sight: CameraSight
 
 
 def lines_left_out(term: LinesTerm, rendering: Rendering) -> set[str]:
-    """The parameters that move lines of a term in view."""
+    """The differentiated parameters that move lines of a term in view."""
     lines, scene, cameras = term.lines(rendering), rendering.call.still_scene, rendering.camera_movers
     names = [[*moving, *own] for moving, own in zip(rendering.movers, term.sliding(rendering))]
     wanted = tuple(bool(own) and (any(cameras) or bool(of)) for own, of in zip(lines, names))

@@ -9,7 +9,7 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 def panes_met(rendering: Rendering) -> SceneWarning | None:
-    """The warning that textures keep rays from passing surfaces straight (see `Layout.panes`) on their ways, or None."""
+    """The warning that textures keep rays in media from passing some surfaces straight (see `Layout.panes`), or None."""
     if not rendering.call.scene.layout.traces_segments:
         return None
     met = {texture_name(rendering.scene, texture): rendering.scene.name_of(bsdf)
@@ -23,7 +23,7 @@ def panes_met(rendering: Rendering) -> SceneWarning | None:
 
 
 def in_the_way(bsdf: BSDF, kind: Kind) -> list[Texture]:
-    """The textures for which a surface is none of `Layout.panes`, though a part of the light passes it straight."""
+    """The textures because of which a surface is none of `Layout.panes`, though it lets some light pass straight."""
     if not kind.straight or kind.invisible:
         return []
     return [texture for texture in bsdf.textures() if reader_of(texture).outside or reader_of(texture).needs_footprint]

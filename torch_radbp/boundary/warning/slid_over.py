@@ -16,7 +16,7 @@ from torch_radbp.vertex.material import followed
 
 
 class SlidOver(NamedTuple):
-    """Parameters that turn scattered directions, which slide over edges."""
+    """The parameters that turn scattered directions over edges for which there is no boundary term, and where these are."""
 
     names: dict[str, bool]  # True: hybrid sampling follows at all these surfaces, too
     seen_by_surfaces: bool  # alone: those that cameras see are computed
@@ -24,7 +24,7 @@ class SlidOver(NamedTuple):
 
 
 def slid_over(rendering: Rendering) -> SlidOver:
-    """The parameters of a rendering that turn scattered directions."""
+    """The parameters of a rendering that turn scattered directions, as far as no boundary term counts it."""
     sampling = rendering.sampling
     names: dict[str, bool] = {}
     materials = [(bsdf, kind) for bsdf, kind in rendering.materials()

@@ -9,7 +9,7 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 def unmapped_textures(rendering: Rendering) -> SceneWarning | None:
-    """The warning that textures read surface coordinates of meshes that have none, or None."""
+    """The warning that textures read texture coordinates of meshes that have none, or None."""
     scene, shapes, textures = rendering.scene, [], []
     for number, shape in enumerate(rendering.shapes):
         owners = filter(None, (shape.bsdf, shape.emitter))
@@ -27,6 +27,6 @@ def unmapped_textures(rendering: Rendering) -> SceneWarning | None:
 
 
 def varies_with_uv(texture: Texture) -> bool:
-    """True if a texture may vary with surface coordinates."""
+    """True if a texture may vary with texture coordinates."""
     of_one_texel = texture.tabulated and not texture.parts() and texture.resolution() == (1, 1)
     return reader_of(texture).needs_uv and not of_one_texel

@@ -16,7 +16,7 @@ def views_without_rays(rendering: Rendering, known: Set[int]) -> SceneWarning | 
 
     Args:
         rendering: that is about to start.
-        known: ids of sensors that are left out.
+        known: ids of sensors that were warned of before.
     """
     for sensor, sight in zip(rendering.sensors, rendering.sights):
         share = 1.0 if id(sensor) in known else float(rays_of(sight)[2].double().mean())

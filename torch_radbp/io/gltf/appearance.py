@@ -38,8 +38,8 @@ class Appearances:
 
     Args:
         root: the scene, or a shape by itself, whose materials are named by their places in it.
-        out: filled in.
-        losses: filled in.
+        out: the document, to which materials are added.
+        losses: what glTF cannot represent is added to them.
     """
 
     def __init__(self, root: nn.Module, out: Written, losses: Losses):

@@ -22,7 +22,7 @@ class GltfWarning(UserWarning):
 
 
 class Losses(Repairs):
-    """Collects what is left out or changed on the way, by kind, for one warning."""
+    """Collects, by kind, what is left out or changed between a scene and a glTF file, for one warning."""
 
 
 def without_nulls(document: dict[str, Any], losses: Losses) -> dict[str, Any]:
@@ -53,7 +53,7 @@ class DocumentPart:
         return SceneError(f"{self.file}: {self.place}: {message}" if self.place else f"{self.file}: {message}")
 
     def inside(self, name: str) -> str:
-        """Where in the document the entry `name` is, for messages."""
+        """The place of the entry `name` in the document, for messages."""
         return f"{self.place}.{name}" if self.place else name
 
     def has(self, name: str) -> bool:
@@ -135,7 +135,7 @@ class DocumentPart:
         return value
 
     def extension(self, name: str) -> DocumentPart | None:
-        """The object of an extension, or None."""
+        """The object in `extensions` of the extension `name`, or None."""
         extensions = self.part("extensions")
         return extensions.part(name) if extensions.has(name) else None
 

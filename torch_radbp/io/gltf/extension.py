@@ -146,7 +146,7 @@ def roughness_of(gloss: float) -> float:
 
 
 def sheen(material: DocumentPart, losses: Losses) -> dict[str, Any]:
-    """Reads `sheen` and `sheen_tint`."""
+    """Reads KHR_materials_sheen as `sheen` and `sheen_tint` of the material."""
     extension = material.extension("KHR_materials_sheen")
     colour = [0.0] if extension is None else extension.numbers("sheenColorFactor", 3, [0, 0, 0], low=0.0, high=1.0)
     if max(colour) == 0:

@@ -100,7 +100,7 @@ def checked_values(values: Tensor, name: str) -> np.ndarray:
 
 
 def _rows(to_uv: Tensor) -> tuple[float, ...]:
-    """The six numbers of a uv transform."""
+    """The six numbers of the two rows of a uv transform."""
     matrix = to_uv.detach().cpu().double().numpy()
     return tuple(float(matrix[row, column]) for row in (0, 1) for column in (0, 1, 3))
 

@@ -79,7 +79,7 @@ def light_of_emitter(emitter: Emitter, name: str, losses: Losses) -> tuple[dict[
 
 
 def _unknown(sensor: Sensor, name: str, losses: Losses) -> None:
-    """Notes that glTF has no such camera."""
+    """Notes that glTF has no camera of this sensor's kind."""
     losses.add(name, f"a {sensor.type} sensor has no counterpart in glTF, and is not written; those that have one: "
                      "orthographic, perspective")
 

@@ -38,7 +38,7 @@ class Look(NamedTuple):
 
 
 class GltfMaterials:
-    """Reads the looks of a scene's surfaces, each at its first use."""
+    """Reads the looks (materials, emission) of a scene's surfaces, each at its first use."""
 
     def __init__(self, document: Document, textures: GltfTextures, losses: Losses, names: Names,
                  children: dict[str, Plugin]):
@@ -93,7 +93,7 @@ class GltfMaterials:
         return bsdf
 
     def principled(self, part: DocumentPart, rough: DocumentPart, base: Texture, sets: list[int]) -> BSDF:
-        """Makes the innermost material, as seen from its front."""
+        """Makes the innermost material, `principled` or `diffuse`, as seen from its front."""
         image = self.textures.image(part, rough, "metallicRoughnessTexture", sets)
         numbers = {name: rough.number(f"{name}Factor", 1.0, low=0.0, high=1.0) for name in ("roughness", "metallic")}
         if extension.is_diffuse(part, numbers["metallic"]):

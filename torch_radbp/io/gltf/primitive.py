@@ -107,7 +107,7 @@ def read_primitive(part: DocumentPart, buffers: Buffers, losses: Losses) -> Prim
 
 
 def is_own(name: str) -> bool:
-    """True for the name of a custom attribute that can be the name of a parameter here."""
+    """True for the name of a custom vertex attribute that can become the name of a mesh's parameter."""
     return name[1:].isidentifier() and name[1:].lower() not in ("positions", "normals", "texcoords", "color")
 
 

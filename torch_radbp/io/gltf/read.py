@@ -268,7 +268,7 @@ class _Reader:
 
 
 def lies_mirrored(uv: np.ndarray, faces: np.ndarray, place: str, losses: Losses) -> bool:
-    """True if a normal map read at (V, 2) uv, v down, is mirrored on most triangles; notes the others."""
+    """True if a normal map read at (V, 2) uv, v down, is mirrored on most triangles; notes those that differ."""
     first, second, third = (uv[faces[:, corner]] for corner in range(3))
     (a, b), (c, d) = (second - first).T, (third - first).T
     mirrored = a * d - b * c > 0
@@ -286,7 +286,7 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
 
     Args:
         children: of the scene; filled in.
-        names: that are given away.
+        names: those in use.
         corners: (3,) least and (3,) greatest coordinates of the scene.
         options: whether and how.
     """
@@ -306,6 +306,6 @@ def complete(children: dict[str, Plugin], names: Names, corners: tuple[np.ndarra
 
 
 def said(losses: list[str]) -> str:
-    """Joins messages to one, shortened if long."""
+    """Joins messages about losses to one, shortened if long."""
     more = f"; and {len(losses) - LISTED} more" if len(losses) > LISTED else ""
     return "; ".join(losses[:LISTED]) + more

@@ -111,7 +111,7 @@ def principled(read: SurfaceTextures) -> GltfSurface:
 
 
 def stretched(surface: GltfSurface, read: SurfaceTextures) -> None:
-    """Converts `anisotropic`; see `extension.anisotropy`."""
+    """Converts `anisotropic` of a material to the extension KHR_materials_anisotropy; see `extension.anisotropy`."""
     anisotropic = read.mean("anisotropic")
     if anisotropic == 0:
         return
@@ -123,7 +123,7 @@ def stretched(surface: GltfSurface, read: SurfaceTextures) -> None:
 
 
 def along_and_across(surface: GltfSurface, along: float, across: float, rotation: float) -> None:
-    """Sets anisotropic roughness: that along a direction, the greater one, and that across it."""
+    """Sets anisotropic roughness: `along` a direction, the greater one, and `across` it."""
     strength = math.sqrt(max(0.0, min(1.0, (along - across) / max(1.0 - across, 1e-6))))
     surface.roughness = constant_slot(math.sqrt(across))
     surface.extensions["KHR_materials_anisotropy"] = {"anisotropyStrength": strength,
@@ -131,7 +131,7 @@ def along_and_across(surface: GltfSurface, along: float, across: float, rotation
 
 
 def cloth(surface: GltfSurface, read: SurfaceTextures) -> None:
-    """Converts `sheen`."""
+    """Converts `sheen` and `sheen_tint` of a material to the extension KHR_materials_sheen."""
     sheen = read.mean("sheen")
     if sheen == 0:
         return

@@ -87,7 +87,7 @@ class ProgramText:
         return self.text()
 
     def text(self) -> Body:
-        """What has been emitted."""
+        """The LLVM IR emitted so far."""
         return Body(self.program, self.entry, self.body, tuple(self.declared.values()), self.names)
 
     # -- Types and constants --------------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ class ProgramText:
         return name if self.width == 1 else f"v{self.width}{name}"
 
     def everywhere(self, scalar: str, literal: str) -> str:
-        """A constant block of equal lanes."""
+        """The LLVM constant of a block whose lanes all are `literal`."""
         return literal if self.width == 1 else f"splat ({scalar} {literal})"
 
     def constant(self, value: Value) -> str:
@@ -155,7 +155,7 @@ class ProgramText:
         raise NotImplementedError(f"{value!r} has no instruction")
 
     def call(self, function: str, dtype: torch.dtype, names: list[str], more: str = "") -> str:
-        """Emits a call of a function of blocks of lanes."""
+        """Emits a call of an LLVM function of whole blocks of lanes."""
         kind = self.vector(SCALARS[dtype])
         parameters = ", ".join([kind] * len(names)) + (", i1" if more else "")
         self.declared[function] = f"declare {kind} @{function}({parameters})"
@@ -238,7 +238,7 @@ class ProgramText:
         return self.names[value]
 
     def length(self, number: int) -> str:
-        """The number of entries of an input, i64."""
+        """Emits the load of the number of entries of an input, i64."""
         place = self.line(f"getelementptr i64, ptr %inputs, i64 {len(self.program.inputs) + number}", self.entry)
         return self.line(f"load i64, ptr {place}, align 8", self.entry)
 
@@ -305,7 +305,7 @@ class ProgramText:
         return self.line(f"call {counts} @{function}(ptr {self.names[table]}, i64 {length}, {numbers} {self.names[number]})")
 
     def spread(self, name: str) -> str:
-        """Emits `%step`, a vector with an i64 in every lane."""
+        """The instructions that set `%step` to a vector with the i64 `name` in every lane."""
         if self.width == 1:
             return f"%step = add i64 {name}, 0"
         vector = self.vector("i64")
@@ -313,7 +313,7 @@ class ProgramText:
                 f"  %step = shufflevector {vector} %first, {vector} poison, <{self.width} x i32> zeroinitializer")
 
     def store(self, value: Value, numbers: Sequence[int]) -> None:
-        """Emits the store of a block of some outputs."""
+        """Emits the store of a value's block of lanes into the outputs with these numbers."""
         kind, self.here = self.vector(memory(value.dtype)), self.body
         for number in numbers:
             name = self.names[value]

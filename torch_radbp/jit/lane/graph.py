@@ -51,7 +51,7 @@ class Value:
 
 
 class Repetition(NamedTuple):
-    """How a program is repeated for a lane: what it reads of some tables is the output of the turn before."""
+    """How a program is repeated for a lane: entries that it reads of some tables are outputs of the repetition before."""
 
     running: int  # the output that tells whether the lane goes on
     state: tuple[tuple[int, int], ...]  # of each of these tables its place among the arguments, and the output
@@ -82,14 +82,14 @@ class Program(NamedTuple):
 
 
 class Builder:
-    """Makes values; the same operation on the same values gives the same value."""
+    """Makes the values of a program; the same operation on the same values gives the same value."""
 
     def __init__(self) -> None:
         self.values: dict[tuple, Value] = {}
 
     def value(self, operation: str, arguments: tuple[Value, ...], dtype: torch.dtype, kind: str | None = None,
               static: Any = None) -> Value:
-        """Makes a value; per lane, unless all arguments are numbers or `kind` says otherwise."""
+        """Makes a value, with a number for each lane unless all arguments are numbers or `kind` says otherwise."""
         if kind is None:
             kind = NUMBER
             for argument in arguments:
@@ -126,7 +126,7 @@ def _rounded(number: bool | int | float, dtype: torch.dtype) -> bool | int | flo
 
 
 def program(outputs: tuple[Value | None, ...]) -> Program:
-    """The program that computes `outputs`."""
+    """The program of all values on which `outputs` depend, in order."""
     needed: set[Value] = set()
     waiting = [value for value in outputs if value is not None]
     while waiting:

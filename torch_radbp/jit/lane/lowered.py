@@ -55,5 +55,5 @@ def _expanded(builder: Builder, operation: str, arguments: Sequence[Value]) -> V
 
 
 def kind_of(value: Value) -> str | None:
-    """The kind of a value if its operation does not determine it."""
+    """The kind (of lanes, number or table) of a value, if its operation does not determine it; else None."""
     return value.kind if value.operation in ("input", "constant", "gather", "search") else None

@@ -97,7 +97,7 @@ def remainder(tracer, result: Tensor, a, b, *, name: str) -> Value:
 
 
 def differs_in_sign(tracer, rest: Value, divisor, dtype: torch.dtype) -> Value:
-    """True where the remainder of a truncated division is nonzero and its sign differs from the divisor's."""
+    """A flag: the remainder of a truncated division is nonzero and has another sign than the divisor."""
     below = tracer.compare("lt", dtype, rest, 0)
     other = tracer.builder.value("xor", (below, tracer.compare("lt", dtype, divisor, 0)), torch.bool)
     return tracer.builder.value("and", (other, tracer.compare("ne", dtype, rest, 0)), torch.bool)

@@ -14,7 +14,7 @@ from torch_radbp.jit.lane.schedule import few_alive
 
 
 class RepeatedText:
-    """Emits a repeated program.
+    """Emits a program that is repeated for a lane while an output says so.
 
     Args:
         emitter: of the program (`emit.ProgramText`), for blocks of one lane; the label before its instructions is `lane`.
@@ -33,13 +33,13 @@ class RepeatedText:
                 self.before[value] = self.outputs[number]
 
     def output_of(self, value: Value) -> int | None:
-        """The output that takes the place of an entry of a table in the next turn; None: none does."""
+        """The output that replaces a read table entry in the next repetition; None: none does."""
         if value.operation != "gather":
             return None
         return dict(self.repetition.state).get(value.arguments[0].static)
 
     def changing(self, values: list[Value]) -> Iterator[Value]:
-        """Those values that differ from turn to turn, without what is read."""
+        """Yields the values that depend on table entries which change from one repetition to the next."""
         found = set(self.before)
         for value in values:
             if value not in found and not found.isdisjoint(value.arguments):
@@ -47,7 +47,7 @@ class RepeatedText:
                 yield value
 
     def instructions(self):
-        """Emits all instructions, as `ProgramText.instructions`."""
+        """Emits all instructions of the repeated program; returns what `ProgramText.instructions` does."""
         emitter, values = self.emitter, few_alive(self.emitter.program.values)
         turn = list(self.changing(values))
         later = set(turn)

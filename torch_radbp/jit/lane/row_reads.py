@@ -41,7 +41,7 @@ class RowReading:
         self.emitter, self.index, self.scalar, self.line = emitter, index, scalar, emitter.line
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """Emits the instructions for some gathers, and returns the names of their results."""
+        """Emits the instructions of gathers from these rows, and returns the names of their results."""
         tables = {self.emitter.program.column(value.arguments[0]).place: value for value in gathers}
         first, table = min(tables.items())
         width = self.emitter.program.column(table.arguments[0]).width
@@ -94,7 +94,7 @@ class RowReading:
                 for order in ((0, 1, 4, 5), (2, 3, 6, 7))]
 
     def joined(self, parts: Sequence[str]) -> str:
-        """Concatenates vectors of four."""
+        """Emits the concatenation of vectors of four lanes."""
         size, parts = AT_ONCE, list(parts)
         while len(parts) > 1:
             order = ", ".join(f"i32 {place}" for place in range(2 * size))

@@ -61,7 +61,7 @@ class TableStandIn(Tensor):
 
 
 class Tracer(TorchDispatchMode):
-    """Records the operations on known tensors as values."""
+    """A mode of torch that records operations on traced tensors as values of a program."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -70,19 +70,19 @@ class Tracer(TorchDispatchMode):
         self.alive: list[Tensor] = []  # so that no other tensor gets the id of one that was seen
 
     def argument(self, place: int, dtype: torch.dtype, kind: str) -> Tensor:
-        """A tensor for the argument with index `place`."""
+        """A tensor without contents that stands for the argument with index `place`."""
         tensor = stand_in(dtype, () if kind == NUMBER else (SIZE,))
         tensor = tensor.as_subclass(TableStandIn) if kind == TABLE else tensor
         return self.note(tensor, self.builder.value("input", (), dtype, kind, place))
 
     def note(self, tensor: Tensor, value: Value) -> Tensor:
-        """Associates a tensor with a value."""
+        """Registers the value of the program that a traced tensor stands for, and returns the tensor."""
         self.values[id(tensor)] = value
         self.alive.append(tensor)
         return tensor
 
     def value_of(self, tensor: Tensor, what: str) -> Value:
-        """The value of a tensor; a number from elsewhere becomes a constant."""
+        """The value of the program for a traced tensor; one number that was not traced becomes a constant."""
         if id(tensor) in self.values:
             return self.values[id(tensor)]
         if tensor.device.type != "meta" and tensor.numel() == 1:
@@ -90,7 +90,7 @@ class Tracer(TorchDispatchMode):
         raise refusal(f"{what}: a tensor {tuple(tensor.shape)} of {tensor.device} that is no argument of the function")
 
     def lanes_or_number(self, tensor: Tensor, what: str) -> Value:
-        """The value of a tensor, which must not be a table."""
+        """The value of the program for a traced tensor, which must not be a table."""
         value = self.value_of(tensor, what)
         if value.kind == TABLE:
             raise refusal(f"{what}: a table, which can only be read at indices")
@@ -130,11 +130,11 @@ class Tracer(TorchDispatchMode):
         return self.builder.cast(argument, dtype) if isinstance(argument, Value) else self.builder.constant(argument, dtype)
 
     def apply(self, operation: str, dtype: torch.dtype, *arguments) -> Value:
-        """An operation on arguments converted to `dtype`, with a result in it."""
+        """Adds an operation to the program, on arguments converted to `dtype`, and with a result of that dtype."""
         return self.builder.value(operation, tuple([self.operand(argument, dtype) for argument in arguments]), dtype)
 
     def compare(self, operation: str, dtype: torch.dtype, a, b) -> Value:
-        """A comparison of arguments converted to `dtype`."""
+        """Adds a comparison of arguments converted to `dtype` to the program."""
         return self.builder.value(operation, (self.operand(a, dtype), self.operand(b, dtype)), torch.bool)
 
     def select(self, condition: Value, a: Value, b: Value) -> Value:

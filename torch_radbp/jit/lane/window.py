@@ -53,7 +53,7 @@ def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, li
 
 
 class WindowReading:
-    """Emits the look-ups at one index.
+    """Emits look-ups of tables at one index by permuting the registers of a window.
 
     Args:
         emitter: of the program, which gathers what is not in the window.
@@ -66,7 +66,7 @@ class WindowReading:
         self.emitter, self.window, self.index, self.scalar = emitter, window, index, scalar
 
     def emit(self, gathers: Sequence[Value]) -> list[str]:
-        """Emits the instructions for some gathers, and returns the names of their results."""
+        """Emits the instructions of gathers at this index, and returns the names of their results."""
         emitter, number = self.emitter, len(self.emitter.body)
         near, far, read = f"near{number}", f"far{number}", f"read{number}"
         base, offset, within = self.place()
@@ -96,7 +96,7 @@ class WindowReading:
         return self.emitter.line(f"call {scalar} @{function}({kind} {vector})")
 
     def everywhere(self, elements: int, scalar: str, number: str) -> str:
-        """Emits a vector of equal elements."""
+        """Emits a vector whose elements all are `number`."""
         kind = f"<{elements} x {scalar}>"
         first = self.emitter.line(f"insertelement {kind} poison, {scalar} {number}, i32 0")
         return self.emitter.line(f"shufflevector {kind} {first}, {kind} poison, <{elements} x i32> zeroinitializer")

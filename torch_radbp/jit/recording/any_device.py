@@ -58,7 +58,7 @@ class AnyDevice:
         return partition_by_torch(number, queues)
 
     def in_order(self, major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-        """As `order.in_order`; waits for the device once."""
+        """Sorts lanes by two numbers, as `order.in_order` does; waits for the device once."""
         order, _ = self.partition(minor, queues)
         order = order.index_select(0, self.partition(major.index_select(0, order), queues)[0])
         return order, major.index_select(0, order), minor.index_select(0, order)
@@ -71,7 +71,7 @@ class AnyDevice:
         return 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """As `scatter.scatter_add`: neighbouring lanes use different copies; in order if torch shall be deterministic."""
+        """Scatter-adds numbers: neighbouring lanes to different copies of sums; in order if torch is to be deterministic."""
         for index, numbers, sums in additions:
             copy = torch.arange(lanes, device=index.device) % sums.copies
             for number, total in zip(numbers, sums.totals):
@@ -82,7 +82,7 @@ class AnyDevice:
             sums.touched.fill_(True)
 
     def add_patches(self, patches: Patches, totals: Tensor) -> None:
-        """As `patches.add_patches`, by one scatter-addition of all pixels."""
+        """Adds patches to images, as `patches.add_patches` does, by one scatter-addition of all pixels."""
         first, values, down, across = patches
         apart = torch.arange(len(down), dtype=torch.int32, device=totals.device)[:, None] * totals.shape[1]
         pixel = (apart + torch.arange(len(across), dtype=torch.int32, device=totals.device))[:, :, None] + first

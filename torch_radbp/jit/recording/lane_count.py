@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 class LaneCount(NamedTuple):
-    """A number of lanes that stands on the device."""
+    """A number of lanes that only the device knows, in a tensor there."""
 
     counts: Tensor  # int64, several such numbers
     number: int  # which of them
@@ -16,21 +16,21 @@ class LaneCount(NamedTuple):
 
     @property
     def address(self) -> int:
-        """Where it stands."""
+        """The address of the number on the device."""
         return self.counts.data_ptr() + 8 * self.number
 
 
     @property
     def alone(self) -> Tensor:
-        """(1,) the number, on the device."""
+        """(1,) the number of lanes, a tensor on the device."""
         return self.counts[self.number:self.number + 1]
 
 
 def most_of(count: int | LaneCount) -> int:
-    """What a number of lanes may be at most."""
+    """The greatest value that a number of lanes may have."""
     return count.most if isinstance(count, LaneCount) else count
 
 
 def waited_for(count: int | LaneCount) -> int:
-    """A number of lanes; waits for the device if it stands there."""
+    """A number of lanes as an int; waits for the device if only that knows it."""
     return int(count.counts[count.number]) if isinstance(count, LaneCount) else count

@@ -33,7 +33,7 @@ class LoopBody(Protocol):
 
 
 class RecordedLoop(NamedTuple):
-    """A recorded loop over lanes."""
+    """A recorded call of a compiled loop over lanes."""
 
     body: int | LoopBody  # address, or body that is being compiled
     lanes: LaneSpan
@@ -45,7 +45,7 @@ class RecordedLoop(NamedTuple):
 
 
 class Partition(NamedTuple):
-    """A recorded `order.partition`."""
+    """A recorded sorting of lanes into queues, `order.partition`."""
 
     number: MemoryPlace
     lanes: LaneSpan
@@ -55,7 +55,7 @@ class Partition(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """A recorded `order.chosen`."""
+    """A recorded selection of the lanes whose flags are set, `order.chosen`."""
 
     flags: MemoryPlace
     lanes: LaneSpan
@@ -64,7 +64,7 @@ class Chosen(NamedTuple):
 
 
 class Put(NamedTuple):
-    """A recorded `order.put`, of entries of one size."""
+    """A recorded scatter of entries of one size into tensors, `order.put`."""
 
     place: MemoryPlace
     lanes: LaneSpan
@@ -72,7 +72,7 @@ class Put(NamedTuple):
 
 
 class Inverted(NamedTuple):
-    """A recorded `order.inverted`, or `order.nothing` if there are no flags."""
+    """A recorded negation of flags; without flags, one that sets all lanes' flags to false."""
 
     flags: MemoryPlace | None
     lanes: LaneSpan
@@ -88,7 +88,7 @@ class Copy(NamedTuple):
 
 
 class Added(NamedTuple):
-    """One `Addition` of a recorded `scatter.scatter_add`."""
+    """One addition of lanes' numbers to tables at one index, as a part of a recorded scatter-add."""
 
     loop: Any  # address of the function, or whatever a target calls it by
     index: MemoryPlace
@@ -100,7 +100,7 @@ class Added(NamedTuple):
 
 
 class Scattered(NamedTuple):
-    """A recorded `scatter.scatter_add`."""
+    """A recorded scatter-add of lanes' numbers to tables, `scatter.scatter_add`."""
 
     groups: tuple[tuple[Added, ...], ...]  # groups that may run in parallel
     lanes: LaneSpan
@@ -123,19 +123,19 @@ class Outside(NamedTuple):
 
     @property
     def outputs(self) -> tuple[MemoryPlace, ...]:
-        """The outputs of all parts."""
+        """The places of the outputs of all groups of lanes."""
         return tuple(place for part in self.parts for place in part.outputs)
 
 
 class NewTensor(NamedTuple):
-    """A tensor made while recording."""
+    """A tensor that a recorded operation makes, with an entry for each lane of a span."""
 
     dtype: torch.dtype
     lanes: LaneSpan
 
 
 class Repeated(NamedTuple):
-    """A recorded `order.repeated`."""
+    """A recorded sequence of operations that is repeated until no lane goes on, `order.repeated`."""
 
     lanes: MemoryPlace  # of which the operations are done; those that go on are copied there
     start: LaneSpan  # how many there are at first

@@ -75,13 +75,12 @@ class Recording:
     """Listens to operations on lanes, and records them.
 
     Args:
-        given: the tensors that the function is given, those of the lanes without contents, and addresses of what else loops
-            read.
-        counts: numbers of lanes that the function is told, in ascending order; as `borders` draws them. `ALL` lanes are
-            always known.
-        reserve: that the tensors without contents are from.
-        contexts: of what is done outside.
-        most: how often to write out what is repeated, see `Repetitions`; None: it is one operation, `Repeated`.
+        given: the inputs of the recorded function, tensors of lanes without contents, and addresses of what else loops read.
+        counts: numbers, as `borders` draws them, that stand for numbers of lanes among the inputs, in ascending order;
+            `ALL`, for all lanes, is always known.
+        reserve: where tensors without contents come from.
+        contexts: of work outside of machine code, see `outside`.
+        most: how often to unroll repeated operations, see `Repetitions`; None: they become one operation, `Repeated`.
     """
 
     def __init__(self, given: Sequence[Tensor | int], counts: Sequence[int] = (), reserve: Reserve | None = None,
@@ -108,7 +107,7 @@ class Recording:
     # -- Where things lie -----------------------------------------------------------------------------------------------
 
     def span(self, lanes: int) -> LaneSpan:
-        """The span of lanes that a number of lanes stands for."""
+        """The span of lanes for which a number of lanes stands in this recording."""
         if lanes not in self.spans:
             raise NotRecordable(f"{lanes} lanes are no number that was found")
         return self.spans[lanes]
@@ -146,14 +145,14 @@ class Recording:
 
     def loop(self, body: int | LoopBody, lanes: int, part: int, inputs: Sequence[Tensor | int], outputs: Sequence[Tensor],
              first: int = 0, lengths: bool = False, of_lanes: Sequence[bool] = ()) -> None:
-        """A loop of `team.run_lanes`.
+        """Records a compiled loop over lanes.
 
         Args:
-            body, lanes, part: of the loop.
+            body, lanes, part: as of `team.run_lanes`.
             inputs: tensors, or addresses of what lies at the same place in every call.
             outputs: written into from the entry `first` on.
             lengths: whether the lengths of the inputs are read, too.
-            of_lanes: of each input whether it has an entry for each lane of the loop; (): nobody asks.
+            of_lanes: whether each input has an entry for each lane of the loop; (): not needed.
         """
         places = tuple(map(self.place, inputs))
         spans = tuple(self.span(item.numel()) if place.made else LaneSpan(0, 0) for item, place in zip(inputs, places))
@@ -166,7 +165,7 @@ class Recording:
         self.rays.append(self.operations[-1].lanes)
 
     def partition(self, number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
-        """Records `order.partition`; returns numbers that stand for the counts."""
+        """Records a sorting of lanes into queues; returns their order, and numbers that stand for the queues' lengths."""
         lanes = self.span(number.numel())
         if number.element_size() != 4 or lanes.first != 0:
             raise NotRecordable("lanes are partitioned by int32")
@@ -200,7 +199,7 @@ class Recording:
         raise NotRecordable(f"{queues} queues are too many")
 
     def chosen(self, flags: Tensor) -> Tensor:
-        """Records `order.chosen`; the result's length stands for the count."""
+        """Records the selection of lanes by flags; the result's length stands for their number."""
         order = flags.new_empty(flags.numel(), dtype=torch.int32)
         if not len(order):
             return order
@@ -212,13 +211,13 @@ class Recording:
         return order[:count]
 
     def all_lanes(self, like: Tensor) -> Tensor:
-        """As `order.all_lanes`."""
+        """Records the list of all lanes of a tensor, (N,) int32."""
         lanes = self.chosen(self.inverted(self.nothing(self.reserve.tensor(torch.bool, like.numel()))))
         return lanes if not len(like) else lanes.as_strided((len(like),), (1,))
 
     def repeated(self, lanes: Tensor, function: Callable[[Tensor], Tensor]) -> None:
-        """Records `order.repeated`; the function is called once, with lanes whose number stands for that of any turn, unless
-        it is written out."""
+        """Records a function that is repeated until no lane goes on; it is called once, for lanes of any repetition, or,
+        unrolled, `most` times."""
         if not len(lanes):
             return
         if self.most is not None:
@@ -242,29 +241,29 @@ class Recording:
         self.counts += 1
 
     def duplicated(self, tensor: Tensor) -> Tensor:
-        """As `order.duplicated`."""
+        """Records a copy of a tensor of lanes, and returns it."""
         result = self.reserve.tensor(tensor.dtype, tensor.numel())
         if len(result):
             self.copy(result, tensor, 0)
         return result
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-        """Records `order.put`."""
+        """Records a scatter of entries into tensors, as `order.put` does it."""
         for size in {target.element_size() for target in targets}:
             pairs = tuple((self.place(entry), self.written(target)) for target, entry in zip(targets, entries)
                           if target.element_size() == size)
             self.operations.append(Put(self.place(place), self.span(place.numel()), pairs))
 
     def inverted(self, flags: Tensor) -> Tensor:
-        """As `order.inverted`."""
+        """Records the negation of flags, and returns it."""
         return self.flags_like(flags, self.place(flags) if len(flags) else None)
 
     def nothing(self, flags: Tensor) -> Tensor:
-        """As `order.nothing`."""
+        """Records flags that are all false, and returns them."""
         return self.flags_like(flags, None)
 
     def flags_like(self, like: Tensor, inverted: MemoryPlace | None) -> Tensor:
-        """As many flags: others inverted, or all false."""
+        """Records flags of as many lanes as `like`: the negation of those at `inverted`, or all false."""
         result = torch.empty_like(like)
         if len(result):
             self.operations.append(Inverted(inverted, self.span(like.numel()), self.written(result)))
@@ -272,7 +271,7 @@ class Recording:
 
     def scatter_add(self, groups: Sequence[Sequence[Addition]], lanes: int,
                     loops: Mapping[tuple[torch.dtype, int], Any]) -> None:
-        """As `scatter.scatter_add`.
+        """Records a scatter-add of lanes' numbers to tables.
 
         Args:
             groups: of additions that may run side by side.
@@ -360,13 +359,13 @@ def outside(work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
             results: Sequence[int]) -> Sequence[Sequence[Tensor]]:
     """Runs `work(context, given)`, which no function of lanes can do, such as a neural network.
 
-    It is not recorded but done each time, if there are lanes, and the context is then one that what was recorded is told.
-    Where only a device knows how many lanes there are, N is as many as there may be, and nothing is asked of others.
+    A recording calls it again each time it is played, if there are lanes, with a context given then. Where only a device
+    knows the number of lanes, N is the most that it may be, and surplus lanes are marked by -1.
 
     Args:
-        work: what it does depends on nothing but what it is given.
-        given: for each of some queues of lanes, (N,) each; N may be 0 for some. The first is int32; -1: nothing is asked.
-        results: how many tensors are returned for each, (N,), of the dtype of the last that is given.
+        work: depends on nothing but what it is given.
+        given: for each of some queues of lanes, (N,) each; N may be 0 for some. The first is int32, -1 in lanes to skip.
+        results: how many tensors are returned for each queue, (N,), of the dtype of the last one given.
     """
     listener = recording()
     return work(context, given) if listener is None else listener.outside(work, context, given, results)
@@ -385,9 +384,9 @@ def listening(recording: Recording) -> Iterator[None]:
 
 @contextmanager
 def unguarded() -> Iterator[None]:
-    """A context in which this thread's torch operations are not checked, as for tracing.
+    """A context in which a recording does not check torch's operations on tensors without contents, as for tracing.
 
-    No other mode of torch's may have been entered since this thread began to listen.
+    No other mode of torch's may have been entered since the recording began.
     """
     guard = HERE.guard
     if guard is None:

@@ -25,13 +25,13 @@ class TooFewRepetitions(Exception):
 
 
 class Repetitions(NamedTuple):
-    """The repetitions in sequences of launches."""
+    """The number of times that launches repeat an operation, and how many lanes went on after the last time."""
 
     most: int
     left: list[Tensor]  # (1,) int64 each, of the lanes that went on after the last; added to
 
     def add(self, left: Sequence[int | LaneCount]) -> None:
-        """Adds numbers of lanes that went on.
+        """Adds numbers of lanes that went on after the last repetition.
 
         Raises:
             TooFewRepetitions: if one that the host knows is not 0.
@@ -49,7 +49,7 @@ class LearntRepetitions:
     most: int = 3  # with the first segment of a way that makes 4: into a medium, through it, and to what is behind
 
     def enough(self, work: Callable[[Repetitions], Result]) -> Result:
-        """The result of `work`, which raises `TooFewRepetitions` if those that it is given are not enough."""
+        """Calls `work` with ever more repetitions until it raises no `TooFewRepetitions`, and returns its result."""
         while True:
             most = self.most
             try:
@@ -60,7 +60,7 @@ class LearntRepetitions:
 
 
     def found_out(self, work: Callable[[Repetitions], Result]) -> Result:
-        """The result of `work`, of which it is found out here whether the repetitions that it is given were enough."""
+        """Calls `work` with ever more repetitions until no lane goes on after them, and returns its result."""
         def asked(some: Repetitions) -> Result:
             result = work(some)
             read_together([], some)
@@ -70,10 +70,10 @@ class LearntRepetitions:
 
 
 def read_together(flags: Sequence[Tensor], repetitions: Repetitions | None = None) -> bool:
-    """True if all flags, () each on one device, are; waits for the device once, for all that it is to be asked.
+    """True if all flags, () each on one device, are true; waits for the device once, for these and all pending questions.
 
     Raises:
-        TooFewRepetitions: if what was repeated has not come to its end.
+        TooFewRepetitions: if lanes went on after the last repetition.
     """
     left = [torch.cat(repetitions.left).sum()] if repetitions is not None and repetitions.left else []
     found = answered([*flags, *left], lambda numbers: not left or not numbers[-1])

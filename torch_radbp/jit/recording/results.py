@@ -17,7 +17,7 @@ SIZES = (1, 4, 8)  # bytes of a tensor's entries
 
 
 class RecordedInputs:
-    """The inputs of a recording, taken apart: tensors, and addresses of what loops read."""
+    """The inputs of a recorded function: tensors, and addresses of memory that its loops read."""
 
     __slots__ = ("items", "addresses", "lengths")
 
@@ -47,11 +47,11 @@ class ResultGroup(NamedTuple):
 
 
 class ResultLayout:
-    """The memory layout of tensors made: results in groups, temporaries in rows that are reused after their last reading.
+    """The memory layout of the tensors that a recording makes: results in groups, temporaries in rows that are reused.
 
     Args:
-        recording: whose.
-        results: numbers of the tensors that are asked for, with the part of the results that each belongs to.
+        recording: whose tensors are laid out.
+        results: the numbers of the tensors that are returned, with the part of the results that each belongs to.
     """
 
     def __init__(self, recording: Recording, results: Sequence[tuple[int, int]]):
@@ -102,7 +102,7 @@ def made_in(operation: Operation) -> Iterator[int]:
 
 
 class ResultPlace(NamedTuple):
-    """The memory in which a result of a recording lies."""
+    """The place in memory of a recorded function's result."""
 
     group: int  # index in `ResultLayout.groups`; GIVEN: an input; EMPTY: no lanes
     row: int  # row of the group, or index of the input
@@ -113,12 +113,12 @@ GIVEN, EMPTY, WHOLE = -2, -1, -1
 
 
 class RecordedResults:
-    """The results of what was recorded, and where they lie.
+    """The results of a recorded function, and where in memory they lie.
 
     Args:
-        recording: of a function.
-        given: what it was given.
-        results: what it returned: tensors in nested tuples, whose parts lie in memory of their own.
+        recording: of the function.
+        given: the function's inputs.
+        results: what the function returned: tensors in nested tuples, whose parts lie in memory of their own.
     """
 
     def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):

@@ -51,7 +51,7 @@ def _described(item: tuple | None) -> str:
 
 
 class Leaf:
-    """Placeholder for a tensor."""
+    """Placeholder for a tensor in a structure of nested tuples."""
 
 
 def with_other_leaves(part: Any, next_leaf: Callable[[], Any]) -> Any:
@@ -85,7 +85,7 @@ class Source:
 
 
 def unpacker(part: Any) -> Callable[[Any], tuple | None]:
-    """Generates a function that extracts the tensors' places from arguments of one structure; None for other structures.
+    """Generates a function that extracts the tensors from arguments of one structure, and returns None for others.
 
     It is written out for this structure, since small renderings spend most of their time on taking arguments apart.
     """

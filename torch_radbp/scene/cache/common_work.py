@@ -23,7 +23,7 @@ MOST = 8  # results of one kind that are kept: of so many renderings, such as th
 
 
 class Facts:
-    """What results depend on; of renderings that share their work the same object, where nothing of it differs.
+    """The tensors and values on which a result depends; renderings that share work have one object for equal ones.
 
     Args:
         leaves: of a record.
@@ -34,20 +34,20 @@ class Facts:
 
     @staticmethod
     def of(record: Any) -> Facts:
-        """The facts of a record of tensors without derivatives, and what can be compared."""
+        """The `Facts` of a record of detached tensors and comparable values."""
         common, facts = COMMON.get(), Facts(leaves_of(record))
         return facts if common is None else common.known(facts)
 
 
 class CommonWork:
-    """Results of renderings of the same values; whoever changes values in place takes a new one."""
+    """Results that renderings of the same parameter values share; whoever changes values in place takes a new one."""
 
     def __init__(self) -> None:
         self.facts: list[Facts] = []
         self.results: dict[Hashable, list[tuple[list, Any]]] = {}  # by kind; what each depends on, and the result
 
     def known(self, facts: Facts) -> Facts:
-        """The same facts as they were met before, if they were."""
+        """The `Facts` object seen before that equals these facts, or else these facts."""
         for other in self.facts:
             if same_leaves(other.leaves, facts.leaves):
                 return other
@@ -57,7 +57,7 @@ class CommonWork:
 
     @contextmanager
     def shared(self) -> Iterator[None]:
-        """Renderings of this thread share their work by `once`."""
+        """A context in which renderings of this thread share their work by `once`."""
         token = COMMON.set(self)
         try:
             yield
@@ -69,12 +69,12 @@ COMMON: ContextVar[CommonWork | None] = ContextVar("COMMON", default=None)
 
 
 def once(kind: Hashable, depends_on: Callable[[], Any], make: Callable[[], Result]) -> Result:
-    """`make()`, or what it has returned in another rendering that shares its work with this one.
+    """The result of `make()`, or what it returned in another rendering that shares its work with this one.
 
     Args:
-        kind: tells what is made.
-        depends_on: gives a record of all that the result depends on beside the kind: tensors without derivatives, what can
-            be compared, and `Facts`. Not called where nothing is shared.
+        kind: a key for what is computed.
+        depends_on: returns a record of all else that the result depends on: detached tensors, comparable values, and
+            `Facts`. Not called where nothing is shared.
         make: computes it, without derivatives.
     """
     common = COMMON.get()

@@ -17,11 +17,11 @@ from torch_radbp.tensors.differentiated import asks_for_derivatives, differentia
 
 
 class Copies:
-    """Detached copies of tensors, and inventories of modules; those of the last rendering are taken where nothing changed.
+    """Detached copies of tensors and inventories of modules, taken from the last rendering where nothing has changed.
 
     Args:
-        last: of the last rendering.
-        around: of this rendering, if this one is for a part of it, which shares inventories with it.
+        last: the copies of the last rendering.
+        around: the copies of the whole rendering, if these are for a part of it; inventories are shared.
     """
 
     def __init__(self, last: Copies | None = None, around: Copies | None = None):
@@ -46,7 +46,7 @@ class Copies:
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
-        """Drops what only the comparison with the last rendering needed."""
+        """Drops what only the comparison with the last rendering needed; returns the copies."""
         self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
         self.last_versions = {}
         self.numbers = {}
@@ -55,7 +55,7 @@ class Copies:
         return self
 
     def read(self, owner: nn.Module, name: str) -> Any:
-        """An attribute of a module, None if it has none; what a parametrisation computes is computed once."""
+        """The value of a module's attribute, None if it has none; a parametrisation is evaluated once."""
         if name not in parametrized_names(owner):
             return getattr(owner, name, None)
         key = id(owner), name, torch.is_grad_enabled()
@@ -141,7 +141,7 @@ class Copies:
         return self.seen[id(tensor)][1]
 
     def known(self, place: Hashable, tensor: Tensor) -> bool | None:
-        """Whether a tensor is as it was in the last rendering, if that is known by `compare`; else None."""
+        """Whether a tensor equals its copy from the last rendering, as `compare` has found; None: not compared."""
         if tensor.is_cpu:
             return None
         if self.compared is None:
@@ -152,13 +152,13 @@ class Copies:
         return self.compared.get((place, id(tensor)))
 
     def note_version(self, tensor: Tensor) -> None:
-        """Notes how often torch knows that somebody has written into a tensor."""
+        """Notes torch's version counter of a tensor, which counts in-place writes."""
         if not tensor.is_inference():
             self.versions[id(tensor)] = weakref.ref(tensor), tensor._version
 
     def untouched(self, tensor: int | Tensor) -> bool | None:
-        """True if torch knows of nobody who has written into a tensor, given itself or by its id, since the last rendering,
-        False if it does; None: it was not there."""
+        """True if torch's version counter of a tensor, given itself or by its id, is unchanged since the last rendering,
+        False if it has changed; None: the tensor is new."""
         number = tensor if isinstance(tensor, int) else id(tensor)
         now, last = self.versions.get(number), self.last_versions.get(number)
         if isinstance(tensor, Tensor) and now is None and not tensor.is_inference():
@@ -168,11 +168,11 @@ class Copies:
         return now[1] == last[1]
 
     def presume(self, place: Hashable, tensor: Tensor, reach: frozenset[int]) -> None:
-        """Presumes that a tensor of a device is as it was in the last rendering, if that may be, or knows that it is not.
+        """Presumes that a device tensor equals its last copy, which is verified later, or knows that it has changed.
 
         Args:
             place, tensor: as of `frozen`.
-            reach: of the modules that it is computed from, as `Inventory.reach`.
+            reach: the ids of what it is computed from, as `Inventory.reach`.
         """
         copy, moved = self.last_copies.get(place), [self.untouched(number) for number in reach & self.moved]
         if tensor.is_cpu or not presuming() or None in moved or copy is None or not comparable(tensor, copy):
@@ -185,14 +185,14 @@ class Copies:
             mistaken_if_any(differing_bytes([tensor], [copy]))
 
     def compare(self, tensors: Sequence[tuple[Hashable, Tensor]], asked: Sequence[Tensor] = ()) -> None:
-        """Compares tensors of a device with their copies, and those of the last rendering with theirs, all at once.
+        """Compares tensors of a device with their copies from the last rendering, with a single wait for the device.
 
-        To ask a device for one answer takes as long as to ask it for many; on the CPU each is compared when its turn comes.
-        Of tensors into which torch knows nobody to have written it is presumed that they are as they were, if that may be.
+        One wait for a device takes as long as many answers; CPU tensors are compared one by one, when they are needed.
+        Tensors whose version counter is unchanged are presumed equal, if that may be verified later.
 
         Args:
-            tensors: with their places.
-            asked: those of which the numbers are fetched, too, into `numbers`, unless they may be asked for in the end.
+            tensors: pairs of a key, as for `frozen`, and a tensor.
+            asked: tensors whose numbers are fetched into `numbers` as well, unless all is verified later.
         """
         found = [each for each in tensors if not each[1].is_cpu and (each[0], id(each[1])) not in (self.compared or {})]
         if self.compared is None:

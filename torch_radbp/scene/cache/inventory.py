@@ -25,7 +25,7 @@ KIND = operator.attrgetter("shape", "dtype", "device", "layout", "requires_grad"
 
 
 class Inventory:
-    """The attributes of a module and of all modules in it, at one rendering.
+    """The attributes of a module and of all modules in it, as they are at one rendering.
 
     Of a scene, sensors are left out, but for the medium in which they stand; see `ModuleTree`.
 
@@ -56,7 +56,7 @@ class Inventory:
         self.results: dict[tuple, Any] = {}  # of functions of the root, by these and their other arguments
 
     def dicts(self) -> list[dict[str, Any]]:
-        """The attribute dicts of all modules in it, as they are now."""
+        """The attribute dicts of all modules in the inventory, as they are now."""
         return [*map(vars, self.modules), *self.inner]
 
     def holds(self, root: nn.Module) -> bool:
@@ -68,7 +68,7 @@ class Inventory:
                 and list(map(KIND, self.tensors)) == self.kinds)
 
     def reach(self, modules: tuple[nn.Module, ...]) -> frozenset[int]:
-        """The ids of what may change within modules while the inventory holds: of tensors, and of restless modules."""
+        """The ids of what may change within modules unseen by the inventory: of tensors, and of modules if `is_restless`."""
         if modules not in self.reaches:
             self.reaches[modules] = reach_of(modules)
         return self.reaches[modules]
@@ -82,19 +82,19 @@ def reach_of(modules: Iterable[nn.Module]) -> frozenset[int]:
 
 
 def is_restless(module: nn.Module) -> bool:
-    """True if a module may compute something else while its attributes are the same objects with the same numbers: it has
-    parametrisations, which may compute anything, or is none of ours and has a list or the like."""
+    """True if a module may compute something else while its attributes stay the same objects with the same numbers: it has
+    parametrisations, or is a foreign module with lists or the like."""
     return parametrize.is_parametrized(module) or not (isinstance(module, (Plugin, ModuleTree)) or stands_still(module))
 
 
 def _held_by(modules: Iterable[nn.Module], left_out: Collection[nn.Module] = (), of_shapes: bool = True
              ) -> Iterator[nn.Module]:
-    """Iterates over modules and all that is in them: registered, shared with others, or in tuples.
+    """Iterates over modules and all modules in them: registered, shared with others, or in tuples.
 
     Args:
-        modules: to begin with.
+        modules: where to begin.
         left_out: a set of modules that are left out.
-        of_shapes: with the materials, emitters and media of shapes, which say nothing of the shapes themselves.
+        of_shapes: include the materials, emitters and media of shapes, which are not part of their geometry.
     """
     ahead, met = list(modules), set()
     while ahead:

@@ -34,19 +34,19 @@ def frozen_dataclass(kind: type) -> bool:
 
 
 def is_constant(value, beside: tuple[type, ...] = ()) -> bool:
-    """True if a value is immutable: plain values and numbers, or instances of the classes `beside`."""
+    """True if a value is immutable: a plain value or number, or an instance of the classes `beside`."""
     if isinstance(value, tuple) or frozen_dataclass(type(value)):
         return all(is_constant(part, beside) for part in (value if isinstance(value, tuple) else vars(value).values()))
     return isinstance(value, (*PLAIN, float, *beside))
 
 
 def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module] = ()) -> list[tuple[str, nn.Module]]:
-    """A module and those in it with their names, each once and in the order of `named_modules`.
+    """A module and all modules in it with their names, each once and in the order of `named_modules`.
 
     Args:
         root: any module.
         prefix: its name.
-        without: a set of modules that are left out with all that is in them.
+        without: modules that are left out with all that is in them.
     """
     named, met, left = [], set(), [(prefix, root)]
     while left:
@@ -62,24 +62,24 @@ def modules_in(root: nn.Module, prefix: str = "", without: Collection[nn.Module]
 
 
 class ModuleTree(nn.Module):
-    """A tree of modules without some that are roots of their own, as a scene without its sensors."""
+    """A tree of modules some of whose submodules are roots of their own and do not count as parts, as a scene's sensors."""
 
     def separate_roots(self) -> Collection[nn.Module]:
-        """The modules that are roots of their own; what a rendering costs does not depend on those that it does not show."""
+        """The submodules whose attributes are compared separately from the rest, such as sensors."""
         raise NotImplementedError
 
     def shared_with_roots(self) -> list[nn.Module]:
-        """The modules within these that belong to this tree, too."""
+        """The modules within separate roots that also belong to this tree."""
         raise NotImplementedError
 
 
 def separate_roots(root: nn.Module) -> set[nn.Module]:
-    """The modules within a root that are roots of their own."""
+    """The submodules of a root that are roots of their own, such as a scene's sensors."""
     return set(root.separate_roots()) if isinstance(root, ModuleTree) else set()
 
 
 def shared_with_roots(root: nn.Module) -> list[nn.Module]:
-    """The modules within separate roots that belong to this root, too."""
+    """The modules within a root's separate roots that also belong to the root."""
     return root.shared_with_roots() if isinstance(root, ModuleTree) else []
 
 
@@ -101,7 +101,7 @@ def has_attributes(module: nn.Module, attributes: Attributes) -> bool:
 
 
 def stands_still(module: nn.Module) -> bool:
-    """True if a module can change only by its tensors and submodules while its attributes are the same objects."""
+    """True if a module whose attributes stay the same objects can change only through its tensors and submodules."""
     return all(is_constant(value, beside=(Tensor, nn.Module)) for name, value in vars(module).items()
                if name not in OF_EVERY_MODULE and name != "shared")
 
@@ -133,5 +133,5 @@ def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, child
 
 
 def holder(name: str, value) -> SimpleNamespace:
-    """A plain object with one attribute, which stands for a module."""
+    """A plain object with one attribute, used in place of a module."""
     return SimpleNamespace(**{name: value})

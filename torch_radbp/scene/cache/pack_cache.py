@@ -39,7 +39,7 @@ from torch_radbp.tensors.differentiated import differentiated
 
 
 class Result(NamedTuple):
-    """The cached result of a function call."""
+    """A cached function result with the function and arguments that it comes from."""
 
     key: tuple  # the function and tokens of the arguments
     arguments: tuple  # held, so that their ids are not given away
@@ -47,7 +47,7 @@ class Result(NamedTuple):
 
 
 class Twin(NamedTuple):
-    """A copy of a module, with the originals that it was made from."""
+    """A copy of a module, with the original attributes and tensors that it was made from."""
 
     attributes: Attributes
     tensors: tuple[tuple[Hashable, Tensor, Tensor], ...]  # the place, the original and the copy of each
@@ -66,16 +66,15 @@ class CachedPart(NamedTuple):
 
 
 class PackCache(Copies):
-    """A cache of tensors and of results computed from them, valid while the scene's values are unchanged.
+    """A cache of tensors and of results computed from them; an entry is valid while the scene's values are unchanged.
 
-    One rendering fills one of these, and takes from that of the last rendering what is still right. What it does not ask
-    for is forgotten.
+    Each rendering fills a new cache, and takes from that of the last rendering what still holds; the rest is forgotten.
 
-    A copied or unpickled one is empty.
+    A copied or unpickled cache is empty.
 
     Args:
-        last: of the last rendering.
-        around: of this rendering, if this one is for a part of it.
+        last: the cache of the last rendering.
+        around: the cache of the whole rendering, if this one is for a part of it.
     """
 
     def __init__(self, last: PackCache | None = None, around: PackCache | None = None):
@@ -94,17 +93,17 @@ class PackCache(Copies):
         return PackCache, ()
 
     def close(self) -> PackCache:
-        """Drops what only the comparison with the last rendering needed."""
+        """Drops what only the comparison with the last rendering needed; returns the cache."""
         super().close()
         self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self
 
     def __call__(self, make: Callable, *arguments, instead: Callable | None = None):
-        """`make(*arguments)`, cached if all arguments are plain values or objects from this cache.
+        """The result of `make(*arguments)`, cached if all arguments are plain values or objects from this cache.
 
         Args:
             make: a function of a module, whose result depends on nothing but the arguments.
-            arguments: plain values, tensors, modules, and tuples of these. Of others the result is made anew.
+            arguments: plain values, tensors, modules, and tuples of these; with others the result is computed anew.
             instead: computes the same in another way; None: `make` does.
         """
         result = self.result(make, arguments, instead)
@@ -129,21 +128,21 @@ class PackCache(Copies):
         return tokens is not None and ((make, *tokens) in self.results or (make, *tokens) in self.last_results)
 
     def take_over(self, result: Result) -> None:
-        """Keeps a result for the next rendering."""
+        """Adds a result of the last rendering to this cache."""
         self.results[result.key] = result
         self.fix(result.value)
 
     def part(self, place: Hashable, make: Callable, root: nn.Module, reach: frozenset[int], *arguments):
-        """`make(cache, *arguments)`, or the result of the last rendering if the arguments and every bit of their tensors are
-        unchanged, and no tensor is differentiated.
+        """The result of `make(cache, *arguments)`, or that of the last rendering if the arguments and every bit of their
+        tensors are unchanged, and no tensor is differentiated.
 
         Args:
-            place: tells which part of the last rendering to compare with.
+            place: the key of the part in the last rendering.
             make: a function whose result depends on nothing but the arguments. The cache that it gets is its own.
             root: holds the modules among the arguments.
-            reach: of these modules, as `Inventory.reach`; without what is differentiated, if the result does not depend on
-                its numbers.
-            arguments: modules, results of `structure`, parts, plain values.
+            reach: the ids of what these modules depend on, as `Inventory.reach`; without differentiated tensors, if the
+                result does not depend on their numbers.
+            arguments: modules, results of `structure`, other parts, plain values.
         """
         inventory, cached = self.inventory(root), self.parts.get(place) or self.last_parts.get(place)
         if cached is None or cached.inventory is not inventory or not reach.isdisjoint(self.moved) or not all(
@@ -157,23 +156,22 @@ class PackCache(Copies):
         return cached.value
 
     def made(self, place: Hashable) -> Any:
-        """A part of the packed scene as this rendering has computed it."""
+        """A part of the packed scene as this rendering has computed it; `place`: its key."""
         return self.parts[place].value
 
     def made_last(self, place: Hashable) -> Any:
-        """A part of the packed scene as the last rendering had it; None: it had none."""
+        """A part of the packed scene as the last rendering computed it; None: it had none. `place`: its key."""
         return self.last_parts[place].value if place in self.last_parts else None
 
     def twin(self, place: Hashable, thing):
-        """A copy of a module, or another object, as it is now; that of the last rendering if nothing in it has changed.
+        """A copy of a module or another object as it is now; the copy of the last rendering if nothing in it has changed.
 
-        It has frozen tensors where those of the original are not differentiated, and the values of parametrisations instead
-        of these. Modules in it are twins, too. That of a shape lacks material and emitter, which say nothing of its
-        geometry.
+        Tensors that are not differentiated are detached copies, and parametrisations are replaced by their values. Modules
+        in it are copies, too. The copy of a shape lacks material and emitter, which are not part of its geometry.
 
         Args:
-            place: tells which object of the last rendering to compare with.
-            thing: its functions must depend on nothing but its attributes.
+            place: the key of the object in the last rendering.
+            thing: the original; its functions must depend on nothing but its attributes.
         """
         if not isinstance(thing, nn.Module):
             return self(assembled, type(thing), self.attributes_in_twin(place, vars(thing).items()), (), (), ())
@@ -205,11 +203,11 @@ class PackCache(Copies):
                 and all(self.twin(place, child) is copy for place, child, copy in twin.children))
 
     def attributes_in_twin(self, place: Hashable, named: Iterable[tuple[str, Any]]) -> tuple[tuple[str, Any], ...]:
-        """The attributes of a module's copy, from those of the original."""
+        """The (name, value) pairs of a module's copy, from those of the original."""
         return tuple((name, self.in_twin((place, name), value)) for name, value in named)
 
     def in_twin(self, place: Hashable, value):
-        """What a copied module holds instead of an attribute's value: a frozen tensor, a copied module, or the same."""
+        """What a copied module holds for an attribute's value: a detached tensor, a copied module, or the same value."""
         if type(value) in OFTEN:
             return value
         if isinstance(value, Tensor):
@@ -257,7 +255,7 @@ class PackCache(Copies):
         return cached[1]
 
     def fix(self, result) -> None:
-        """Marks a result and its parts as unchanging."""
+        """Marks a result and its parts as unchanging, so that they may be cached arguments."""
         if isinstance(result, tuple):
             for part in result:
                 self.fix(part)

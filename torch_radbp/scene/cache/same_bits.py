@@ -31,24 +31,24 @@ def same_bits(a: Tensor, b: Tensor) -> bool:
 
 
 def same_bits_each(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> list[bool]:
-    """`same_bits` for pairs of CPU tensors of equal shapes and dtypes."""
+    """For each pair of CPU tensors of equal shapes and dtypes, whether their bits are the same."""
     differ = memory_difference()
     return [not differ(a.data_ptr(), b.data_ptr(), a.nbytes) if a.is_contiguous() and a.nbytes <= PART else same_bits(a, b)
             for a, b in zip(tensors, copies)]
 
 
 def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
-                    asked: Sequence[Tensor] = ()) -> tuple[list[bool], list[list[float]]]:
-    """`same_bits` for pairs of comparable tensors of one device, which is asked once, by few operations.
+                    others: Sequence[Tensor] = ()) -> tuple[list[bool], list[list[float]]]:
+    """Whether pairs of tensors of one device have equal bits, and the numbers of `others`; with one wait.
 
     Small tensors are compared as one, entry by entry, and what differs is counted up to the end of each.
 
     Args:
         tensors, copies: the pairs.
-        asked: others, of which the numbers are fetched, too, in float64; of large ones the extremes.
+        others: tensors whose numbers are fetched as well, in float64; of large ones the extremes.
     """
     answers, order = counted_differences(tensors, copies)
-    parts = list(map(fetched_of, asked))
+    parts = list(map(fetched_of, others))
     dtypes = list(dict.fromkeys([part.dtype for part in parts]))
     joined = [torch.cat([part for part in parts if part.dtype == dtype]).double() for dtype in dtypes]
     joined = [*([torch.cat(answers).double()] if answers else []), *joined]
@@ -61,8 +61,8 @@ def equal_on_device(tensors: Sequence[Tensor], copies: Sequence[Tensor],
 
 
 def counted_differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> tuple[list[Tensor], list[int]]:
-    """How many bytes of pairs of comparable tensors differ, at least, int64 on their device, and which pairs each part of
-    that is about. Args: as for `equal_on_device`."""
+    """The numbers of differing bytes of pairs of tensors, of large ones 0 or 1, int64 on their device, and the pairs in the
+    order of these numbers. Args: as for `equal_on_device`."""
     few = [place for place, tensor in enumerate(tensors) if tensor.nbytes <= SMALL]
     many = sorted({*range(len(tensors))}.difference(few))
     answers = [(bits_of(tensors[place]) != bits_of(copies[place])).any().reshape(1).long() for place in many]
@@ -75,24 +75,24 @@ def counted_differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> 
 
 
 def differing_bytes(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> Tensor:
-    """The counts of `counted_differences` of some pairs, as one tensor: 0 where nothing differs."""
+    """The numbers of `counted_differences` as one tensor: 0 where a pair is equal."""
     return torch.cat(counted_differences(tensors, copies)[0])
 
 
 def fetched_of(value: Tensor) -> Tensor:
-    """The numbers of a tensor by which it is checked, all of a small one, else the extremes; detached."""
+    """The numbers of a tensor that are fetched to check it: all of a small one, else the extremes; detached."""
     value = primal(value)
     return value.reshape(-1) if value.numel() <= MOST_FETCHED else torch.stack(value.aminmax())
 
 
 def numbers_on_host(values: Sequence[Tensor]) -> list[list[float]]:
-    """The numbers of tensors of a device, by one transfer and few operations; of large ones the extremes."""
+    """The numbers of device tensors, fetched by one transfer; of large ones the extremes."""
     return equal_on_device((), (), values)[1]
 
 
 @lru_cache(maxsize=64)
 def whole_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
-    """Some integers on a device, int64."""
+    """An int64 tensor of some integers on a device, cached."""
     with torch.inference_mode(False):
         return torch.tensor(numbers, dtype=torch.int64, device=device)
 

@@ -30,7 +30,7 @@ def clamp(scene: Scene, names: str | Iterable[str] | None = None) -> None:
 
 
 def bring_inside(name: str, held: Held, named: bool = True) -> None:
-    """Clamps one value to its range; a reflectance is clamped to 1 only if it requires a gradient or was named."""
+    """Clamps one value to its range; a reflectance is clamped to 1 only if it requires a gradient or `named` is True."""
     low, high = range_of(held.domains, reflectances=True)
     # A texture that computes its values does so from parameters, which have ranges of their own; buffers are not optimised.
     if low == -math.inf and high == math.inf or held.attribute is None or held.attribute in held.owner._buffers:
@@ -69,7 +69,7 @@ def assign(name: str, held: Held, inside: Tensor) -> None:
 
 
 def range_of(domains: Collection[Domain], reflectances: bool) -> tuple[float, float]:
-    """The intersection of some domains as least and greatest value; `reflectances`: those of reflectances end at 1."""
+    """The intersection of some domains as least and greatest value; with `reflectances`, those of reflectances end at 1."""
     low, high = -math.inf, math.inf
     for domain in domains:
         greatest = min(domain.high, 1.0) if domain.is_reflectance and reflectances else domain.high

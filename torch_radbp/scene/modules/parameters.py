@@ -36,7 +36,7 @@ OUTSIDE = ("; keep it inside, with scene.clamp_() after each step, rb.optim.boun
 
 
 class Held(NamedTuple):
-    """A parameter or texture table with all domains in which its values must be."""
+    """A parameter or texture table of a scene, with all domains in which its values must be."""
 
     owner: nn.Module
     attribute: str | None  # None: the values of a texture
@@ -62,7 +62,7 @@ def held_values(scene: Scene) -> dict[str, Held]:
 
 
 def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
-    """The parameters of one sensor, or of a scene without its sensors, by name; a part of `held_values`."""
+    """The parameters of one sensor, or of a scene without its sensors, by name: one part of `held_values`."""
     named = modules_of(root, prefix)
     plugins = [(name, module) for name, module in named if isinstance(module, Plugin)]
     names = {id(plugin): name for name, plugin in plugins}
@@ -89,13 +89,13 @@ def held_in(root: nn.Module, prefix: str = "") -> dict[str, Held]:
 
 
 def reach_of_attribute(plugin: Plugin, value: Tensor) -> frozenset[int]:
-    """The ids of what a plugin's attribute depends on: its tensor alone, unless a parametrisation computes it."""
+    """The ids of all that a plugin's attribute depends on: its tensor alone, unless a parametrisation computes it."""
     held = any(value is tensor for _, tensor in tensors_of(plugin))
     return frozenset({id(value)}) if held else reach_of([plugin])
 
 
 def hold_entries(values: dict[str, Held], names: dict[int, str], volume: VolumeFunction, domain: Domain) -> None:
-    """Adds a domain for the entries of a volume; arguments as of `hold_values`."""
+    """Adds a domain for the entries of a volume to `values`; arguments as of `hold_values`."""
     for name in volume.entries():
         entry = getattr(volume, name)
         if isinstance(entry, Texture):
@@ -105,13 +105,13 @@ def hold_entries(values: dict[str, Held], names: dict[int, str], volume: VolumeF
 
 
 def hold_values(values: dict[str, Held], names: dict[int, str], texture: Texture, domain: Domain) -> None:
-    """Adds a domain for the values of a texture, unless they are checked where they are computed.
+    """Adds a domain for the values of a texture to `values`, unless the texture checks them when it computes them.
 
     Args:
         values: filled in.
-        names: of the plugins, by their ids.
+        names: of the plugins by their ids.
         texture: of an attribute with this domain.
-        domain: of the attribute.
+        domain: the domain of the attribute.
     """
     for part in texture.parts():
         hold_values(values, names, part, domain)
@@ -129,7 +129,7 @@ def hold_values(values: dict[str, Held], names: dict[int, str], texture: Texture
 
 
 def note_uses(plugins: list[tuple[str, Plugin]]) -> None:
-    """Tells textures that compute their values by which name and in which domains these will be checked."""
+    """Tells textures that compute their values the names and domains by which these are checked."""
     if all(plugin.tabulated for _, plugin in plugins if isinstance(plugin, Texture)):
         return
     names, uses = {id(plugin): name for name, plugin in plugins}, {}
@@ -186,7 +186,7 @@ def check_parameters(scene: Scene, cache: PackCache, seen: Collection[str], leew
 
 
 def check_later(checks: Sequence[tuple[str, Tensor, tuple[Domain, ...], float]]) -> None:
-    """Checks values, arguments of `check_values`, when their device is asked in the end."""
+    """Checks values, given as arguments of `check_values`, once their device has been waited for anyway."""
     if not checks:
         return
     parts = [fetched_of(check[1]).double() for check in checks]
@@ -201,14 +201,14 @@ def check_later(checks: Sequence[tuple[str, Tensor, tuple[Domain, ...], float]])
 
 def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: float,
                  numbers: list[float] | None = None) -> None:
-    """Raises ValueError unless the detached values of a parameter are in all of its domains.
+    """Raises ValueError unless the values of a parameter, detached, are in all of its domains.
 
     Warns of reflectances above 1.
 
     Args:
-        name, domains, leeway: of the parameter, and as for `Domain.check_range`.
-        value: of it.
-        numbers: from `numbers_on_host`; None: `value` is asked, wherever it lies.
+        name, domains: of the parameter.
+        value, leeway: its value, and as for `Domain.check_range`.
+        numbers: of `value`, from `numbers_on_host`; None: they are fetched.
     """
     if numbers is None:
         least, greatest = torch.stack(value.aminmax()).double().tolist()
@@ -227,7 +227,7 @@ def check_values(name: str, value: Tensor, domains: tuple[Domain, ...], leeway: 
 
 
 def check_names(renderer: nn.Module, cache: PackCache) -> None:
-    """Raises AttributeError naming a tensor that was handed over under a name that nothing reads.
+    """Raises AttributeError naming a tensor that was passed under a name that nothing reads.
 
     `torch.func.functional_call` takes any name: a misspelt one would change nothing.
 
@@ -246,14 +246,14 @@ def check_names(renderer: nn.Module, cache: PackCache) -> None:
 
 
 def strays_in(root: nn.Module, prefix: str = "") -> list[str]:
-    """The names of tensors that nothing reads, of one sensor or of a scene without its sensors."""
+    """The names of tensors that nothing reads, in one sensor or in a scene without its sensors."""
     without = set(root.named_sensors.values()) if isinstance(root, Scene) else ()
     named = modules_in(root, f"scene.{prefix}".removesuffix("."), without)
     return [name for prefix, module in named for name in strays_of(prefix, module)]
 
 
 def strays_of(prefix: str, module: nn.Module, renderer: nn.Module | None = None) -> list[str]:
-    """The names of tensors of one module that nothing reads; only plugins, scenes and the renderer can be judged."""
+    """The names of tensors that nothing reads in one module, if that is a plugin, a scene or the renderer; else none."""
     attributes = vars(module)
     if not any(map(is_tensor, set(map(type, attributes.values())))):
         return []
@@ -330,7 +330,7 @@ def check_places(scene: Scene, groups: list[list[Instance]], boxes: Tensor) -> N
 
 
 def largest_vertex_coordinate(vertices: Tensor, numbers: Sequence[float] | None = None) -> float:
-    """The largest magnitude of a coordinate of some vertices, (V, 3), detached; NaN if one is. `numbers`: the extremes among
-    others, if they are known."""
+    """The largest magnitude of a coordinate of vertices, (V, 3), detached; NaN if any is. `numbers`: their extremes, if
+    known."""
     numbers = torch.stack(vertices.aminmax()).tolist() if numbers is None else numbers
     return math.nan if any(map(math.isnan, numbers)) else max(map(abs, numbers))

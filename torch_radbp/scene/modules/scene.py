@@ -168,11 +168,11 @@ class Scene(ModuleTree):
                 for part, view in child.views().items()}
 
     def separate_roots(self) -> list[Sensor]:
-        """All sensors: a rendering need not look at those that it does not show."""
+        """The sensors, whose attributes are compared separately: a rendering looks only at those that it shows."""
         return self.sensors
 
     def shared_with_roots(self) -> list[Medium]:
-        """The medium in which the sensors stand."""
+        """The medium in which the sensors stand, which belongs to the scene as well."""
         return [] if self.around is None else [self.around]
 
     @property
@@ -197,7 +197,7 @@ class Scene(ModuleTree):
 
     @property
     def media(self) -> list[Medium]:
-        """What light travels through: the medium of the sensors, then those that surfaces are the boundaries of."""
+        """All participating media: that of the sensors, then those that surfaces bound."""
         media = [self.around, *(medium for shape in self.shapes for medium in (shape.interior, shape.exterior))]
         return list(dict.fromkeys(medium for medium in media if medium is not None))
 

@@ -14,7 +14,7 @@ from torch_radbp.scene.modules.scene import Scene, modules_of
 
 def wanted_parameters(scene: Scene, seen: Sequence[Sensor], cache: PackCache,
                       beside: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The parameters that require a gradient, by name: of the scene, its rendered sensors, and `beside`.
+    """The parameters that require a gradient, by name: of the scene, of its rendered sensors, and of `beside`.
 
     Raises:
         RuntimeError: if gradients are recorded, and one of these was made in inference mode.

@@ -16,14 +16,14 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 def attributes_read(owner: Plugin) -> Iterator[tuple[str, Domain, Texture]]:
-    """The mesh attributes that a material's or emitter's textures read, with the domain of their values and the texture."""
+    """Yields the mesh attributes that a material's or emitter's textures read: name, domain of values, and texture."""
     for domain, texture in textures_of(owner):
         for leaf in _leaves(texture):
             yield from ((attribute, domain, leaf) for attribute in reader_of(leaf).attributes)
 
 
 def textures_of(owner: Plugin) -> Iterator[tuple[Domain, Texture]]:
-    """The textures of a material (nested ones included) or an emitter, with the domains of their values."""
+    """Yields the textures of a material (nested ones included) or an emitter, with the domains of their values."""
     for part in with_nested(owner):
         for name, domain in part.domains().items():
             texture = getattr(part, name, None)
@@ -32,7 +32,7 @@ def textures_of(owner: Plugin) -> Iterator[tuple[Domain, Texture]]:
 
 
 def with_nested(owner: Plugin) -> Iterator[Plugin]:
-    """A material or an emitter, and the materials nested in it."""
+    """Yields a material or an emitter, and the materials nested in it."""
     yield owner
     for child in (*owner._modules.values(), *owner.shared.values()):
         if isinstance(child, Plugin) and not isinstance(child, Texture):
@@ -40,7 +40,7 @@ def with_nested(owner: Plugin) -> Iterator[Plugin]:
 
 
 def _leaves(texture: Texture) -> Iterator[Texture]:
-    """The texture, or the textures that it is composed of."""
+    """Yields the texture itself, or the textures that it is composed of."""
     for part in texture.parts():
         yield from _leaves(part)
     if not texture.parts():

@@ -21,19 +21,19 @@ from torch_radbp.shape.welding import cells_of, weld_size, welded
 
 
 class Enclosure(NamedTuple):
-    """What a closed surface encloses."""
+    """The orientation of a closed surface's triangles, and its bounding box."""
 
     outwards: bool  # its triangles face outwards
     low: tuple[float, ...]  # (3,) of its bounding box
     high: tuple[float, ...]
 
     def holds(self, other: Enclosure) -> bool:
-        """True if the bounding box of another is within that of this one."""
+        """True if this bounding box contains that of another enclosure."""
         return all(a <= b for a, b in zip((*self.low, *other.high), (*other.low, *self.high)))
 
 
 class Side(NamedTuple):
-    """One side of a shape on which a medium is."""
+    """One side of a shape that a medium borders on."""
 
     shape: Surface
     enclosure: Enclosure | None  # None: the shape is not closed
@@ -42,13 +42,13 @@ class Side(NamedTuple):
 
 def enclosed_media(cache: PackCache, shapes: Sequence[Surface], placed: Sequence[PlacedShape], media: Sequence[Medium],
                    around: Medium | None) -> tuple[int, ...]:
-    """The numbers of the media in closed form that shapes enclose.
+    """The numbers of the homogeneous media that closed shapes enclose, so that each ray in them meets a surface.
 
-    They are on the inner sides of closed shapes; outside of such a shape they may be, too, if it is in another one that
-    they fill. Sensors stand in none of them.
+    A medium lies on the inner sides of closed shapes, and possibly on the outer side of those inside such a shape. Sensors
+    stand in none of them.
 
     Args:
-        cache: of the part to which this belongs.
+        cache: of the part of the scene to which this belongs.
         shapes, placed: all of the scene.
         media: all of the scene.
         around: the medium in which the sensors stand.
@@ -68,7 +68,7 @@ def enclosed_media(cache: PackCache, shapes: Sequence[Surface], placed: Sequence
 
 
 def enclosure_of(vertices: Tensor, faces: Tensor) -> Enclosure | None:
-    """What a surface encloses; None: nothing, since it has borders, or triangles that face both ways.
+    """The `Enclosure` of a surface; None: it is not closed, or its triangles do not face one way.
 
     Args:
         vertices: (V, 3), detached.
@@ -83,8 +83,8 @@ def enclosure_of(vertices: Tensor, faces: Tensor) -> Enclosure | None:
 
 
 def is_without_borders(vertices: Tensor, faces: Tensor) -> bool:
-    """True if along each edge of a surface as many triangles run in one direction as in the other; args as for
-    `enclosure_of`. Vertices at the same place count as one."""
+    """True if along each edge of a surface as many triangles run in one direction as in the other. Vertices at the same
+    place count as one; args as for `enclosure_of`."""
     if not len(faces):
         return False
     label = welded(cells_of(vertices, weld_size(vertices)))

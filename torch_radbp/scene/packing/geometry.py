@@ -59,14 +59,14 @@ class Columns(NamedTuple):
 
 def placed_shapes_of(cache: PackCache, shapes: Sequence[Surface], instanced: Sequence[bool], dtype: torch.dtype,
                      reaches: Sequence[frozenset[int]]) -> tuple[PlacedShape, ...]:
-    """The triangles of shapes as they are now; of those that instances show in the frame of their group.
+    """The current triangles of shapes, in world space, or for shapes shown by instances in the frame of their group.
 
     Args:
         cache: what is known from the last rendering.
         shapes: of the scene, then of each group.
-        instanced: whether instances show each.
+        instanced: for each, whether instances show it.
         dtype: of the scene.
-        reaches: of each shape, as `Inventory.reach`.
+        reaches: for each, the ids of what it depends on, as `Inventory.reach`.
     """
     surfaces = [cache(without_flat_normals, cache(oriented, cache.twin(id(shape), shape), connections(cache, shape)))
                 for shape in shapes]
@@ -86,12 +86,12 @@ def placed_shapes_of(cache: PackCache, shapes: Sequence[Surface], instanced: Seq
 
 
 def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | None:
-    """A detached copy of a shape's `Ball`; `place`: the key by which it is compared with that of the last rendering."""
+    """A detached copy of a shape's `Ball` (the sphere that it tessellates); `place`: its key in the last rendering."""
     return None if ball is None else cache(Ball, cache.frozen((place, "ball"), ball.placement), ball.turned)
 
 
 def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
-    """The connections of a shape's triangles, see `Surface.connections`; computed again only if its values have changed."""
+    """The `Surface.connections` of a shape's triangles; computed again only if its values have changed."""
     recipe = shape.connections()
     if recipe is None:
         return ()
@@ -171,12 +171,12 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
 
 
 def _instance_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
-    """`InstanceTable.number` of instances with these numbers."""
+    """The column `InstanceTable.number` of instances with these AOV numbers."""
     return torch.tensor((0, *numbers), dtype=torch.int32, device=device)
 
 
 def _stacked(poses: tuple[Tensor, ...], dtype: torch.dtype) -> Tensor:
-    """Stacks poses to one tensor, (I, 4, 4)."""
+    """Stacks poses into one tensor, (I, 4, 4)."""
     return torch.stack(poses).to(dtype)
 
 
@@ -251,14 +251,14 @@ def face_table(surfaces: Sequence[Triangles], counts: Sequence[int], attributes:
 
 
 def channels(surfaces: Sequence[Triangles], name: str) -> list[Tensor | None]:
-    """An attribute of each surface, in three channels; None where a surface has none of that name."""
+    """A mesh attribute of each surface, in three channels; None for surfaces without it."""
     columns = [dict(surface.attributes).get(name) for surface in surfaces]
     return [None if values is None else values.expand(-1, 3) for values in columns]
 
 
 def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Sequence[int], emitting: Sequence[bool],
                   device: torch.device) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor, Tensor]:
-    """For each triangle its corners as rows of the joined vertices, its material, and its number among emitting triangles;
+    """For each triangle its corners as rows of the joined vertices, its material, and its index among emitting triangles;
     (T,) int32.
 
     Args:
@@ -276,12 +276,12 @@ def triangle_rows(faces: Sequence[Tensor], vertices: Sequence[int], material: Se
 
 
 def of_each(values: Sequence[int | bool], counts: Sequence[int], dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Repeats one value per shape for each of its triangles, (T,)."""
+    """Repeats the value of each shape for each of its triangles, (T,)."""
     return torch.tensor(values, dtype=dtype, device=device).repeat_interleave(torch.tensor(counts, device=device))
 
 
 def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.device) -> Tensor:
-    """The number of each triangle among those that emit light, (T,) int32; -1: it emits none."""
+    """The index of each triangle among those that emit light, (T,) int32; -1: it emits none."""
     if not any(emitting):
         return torch.full((sum(counts),), -1, dtype=torch.int32, device=device)
     emitting = of_each(emitting, counts, torch.bool, device)
@@ -289,7 +289,7 @@ def emitter_rows(emitting: Sequence[bool], counts: Sequence[int], device: torch.
 
 
 def _numbers(shapes: Sequence[TriangleNumbering], counts: Sequence[int], device: torch.device) -> tuple[Tensor, Tensor]:
-    """The number of each triangle in its shape, and the number of that shape, (T,) int32 each, for AOVs."""
+    """The index of each triangle in its shape, and the number of that shape, (T,) int32 each, for AOVs."""
     none = torch.zeros(0, dtype=torch.int32)
     numbers = [torch.arange(count, dtype=torch.int32) * shape.counted for shape, count in zip(shapes, counts)]
     return torch.cat([none, *numbers]).to(device), of_each([shape.shape for shape in shapes], counts, torch.int32, device)

@@ -47,10 +47,10 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
         cache: what is known from the last rendering.
         triangles: of all shapes, attached; says which belong to an emitter.
         emissions: of all emitters, those on surfaces first.
-        lamps: twins of the others.
+        lamps: copies of the emitters that are not on surfaces.
         layout: gives the kinds of emitters.
-        radiance: the bank of their textures.
-        lit: the banks of those that are read outside.
+        radiance: the bank of the emitters' textures.
+        lit: the banks of their network textures.
         light_choice: one of `CHOICES`; None: what suits the number of emitters.
 
     Raises:
@@ -75,7 +75,7 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
 
 
 def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
-    """True if lights are selected by a tree; never if all would be outside of it."""
+    """True if lights are selected by a tree; never if no emitter would be in it."""
     bounded = sum(emission.kind.bounded for emission in emissions)
     return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
 
@@ -96,12 +96,12 @@ def bounds_of_lights(kinds: tuple[LightKind, ...], textures: EmitterTextures, ta
 
 def choice_by_tree(bounds: tuple[LightBounds | None, ...], emissions: tuple[Emission, ...], kind: Tensor,
                    weights: Tensor) -> TreeChoice:
-    """Builds a distribution of light elements by a tree of the emitters that have bounds.
+    """Builds the distribution of light elements by a tree over the emitters that have bounds.
 
     Args:
-        bounds: of the elements of each kind.
+        bounds: for each kind of light those of its elements.
         emissions: of all emitters.
-        kind: (E,) of each element.
+        kind: (E,) the kind of each element.
         weights: (E,) from `weights_of`.
     """
     repeats = torch.tensor([elements(emission) for emission in emissions], device=kind.device)
@@ -112,7 +112,7 @@ def choice_by_tree(bounds: tuple[LightBounds | None, ...], emissions: tuple[Emis
 
 
 def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) -> Tensor:
-    """The probability of selecting the environment beside the tree, (); 0 if there is none."""
+    """The probability of selecting the environment, which stands beside the light tree, (); 0 if there is none."""
     surround = [number for number, emission in enumerate(emissions) if emission.kind.surround]
     if not surround or choice.beside is None:
         return choice.pmf.new_zeros(())
@@ -190,19 +190,19 @@ def lamp_table(kind: LightKind, lamps: tuple[Light, ...], like: Tensor) -> Table
 
 
 def rows_of_kind(kinds: Tensor, number: int) -> Tensor:
-    """The elements of one kind of light, `number` in the column `kinds` of all elements, int64."""
+    """The elements of light kind `number`, int64; `kinds`: (E,) the kind of each element."""
     return (kinds == number).nonzero().squeeze(1)
 
 
 def surface_table(kind: SurfaceKind, surfaces: EmittingTriangles, elements: Tensor) -> EmittingTriangles:
-    """The emitting triangles of one kind of light, which are these `elements`."""
+    """The emitting triangles of one kind of light, selected from all by `elements`."""
     table = surfaces if len(elements) == len(surfaces.inverse_area) else part(surfaces, elements)
     kind.check(table)
     return table
 
 
 def part(record, index: Tensor):
-    """Indexes every tensor of a record (and of tuples in it) by `index`."""
+    """A record with every tensor (also in tuples in it) indexed by `index`."""
     if isinstance(record, tuple):
         parts = [part(each, index) for each in record]
         return type(record)(*parts) if hasattr(record, "_fields") else tuple(parts)
@@ -213,7 +213,7 @@ def weights_of(emissions: tuple[Emission, ...], area: Tensor) -> Tensor:
     """The unnormalised selection weights of elements, (E,): an emitter's weight, spread over its triangles by area.
 
     Args:
-        emissions: those on surfaces first.
+        emissions: of all emitters, those on surfaces first.
         area: (S,) of their triangles, detached.
 
     Raises:

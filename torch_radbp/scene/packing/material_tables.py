@@ -24,7 +24,7 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 class MaterialTextures(NamedTuple):
-    """The material textures of one kind, which are stored in one table."""
+    """The material textures of a scene that are of one kind, read by one reader from one table."""
 
     reader: Reader
     textures: tuple[Texture, ...]  # in the order of its bank
@@ -33,7 +33,7 @@ class MaterialTextures(NamedTuple):
 
 
 class Materials(NamedTuple):
-    """The materials of a scene as tables."""
+    """The material tables of a scene, with what they imply for its layout."""
 
     table: MaterialTable
     appearances: tuple[Appearance, ...]
@@ -93,7 +93,7 @@ def material_tables(cache: PackCache, scene: Scene, bsdfs: tuple[BSDF, ...], dty
 
 
 def is_differentiated(texture: Texture) -> bool:
-    """True if a texture's values depend on a differentiated parameter; one that moves them over the surface counts, too."""
+    """True if a texture's values depend on a differentiated parameter, one that moves them over the surface included."""
     if any(map(differentiated, texture.sources())):
         return True
     texture = texture.texture if isinstance(texture, NumberOf) else texture
@@ -102,12 +102,12 @@ def is_differentiated(texture: Texture) -> bool:
 
 
 def _column(values: tuple[int | bool, ...] | int, kind: torch.dtype, device: torch.device) -> Tensor:
-    """A column of a table, or a 0-d tensor of one number."""
+    """A column of a table, or a 0-d tensor if `values` is one number."""
     return torch.tensor(values, dtype=kind, device=device)
 
 
 def one_sided(bsdfs: Iterable[BSDF]) -> list[BSDF]:
-    """All materials as seen from the front (the normal's side), then all as seen from the back."""
+    """All materials as seen from the front (the normal's side), followed by all as seen from the back."""
     sides = [bsdf.sides() if isinstance(bsdf, TwoSided) else (bsdf, bsdf) for bsdf in bsdfs]
     return [front for front, _ in sides] + [back for _, back in sides]
 

@@ -34,7 +34,7 @@ REENTRANT = "CheckpointFunctionBackward"  # the node of torch.utils.checkpoint(u
 
 def check_networks(cache: PackCache, readers: Sequence[Reader], banks: Sequence[Any], dtype: torch.dtype,
                    device: torch.device) -> None:
-    """Checks the modules that textures run, each when its attributes have changed.
+    """Checks the modules that network textures run, whenever their attributes have changed.
 
     Args:
         cache: what is known from the last rendering.
@@ -60,11 +60,11 @@ class NetworkCheck:
     """The check of one module; valid until an attribute of the module is replaced.
 
     Args:
-        module: from places to values.
+        module: computes values from coordinates.
         texture: the name in the scene of the texture that it stands for.
-        coordinates: of a place.
-        dtype, device: of places.
-        trained: of each parameter, whether derivatives are wanted; None: nothing is differentiated.
+        coordinates: the number of coordinates that it takes.
+        dtype, device: of the coordinates.
+        trained: for each parameter, whether derivatives are wanted; None: nothing is differentiated.
     """
 
     module: nn.Module
@@ -75,7 +75,7 @@ class NetworkCheck:
     trained: tuple[bool, ...] | None
 
     def __call__(self, module: nn.Module) -> None:
-        """Raises and warns as `check_networks` says; `module`: the same."""
+        """Runs all checks, which raise and warn as `check_networks` says; `module`: the module of this check."""
         self.check_mode()
         if self.trained is not None:
             self.check_results()
@@ -86,7 +86,7 @@ class NetworkCheck:
         return f"the texture {self.texture!r}"
 
     def check_mode(self) -> None:
-        """Checks that parts of the module are not in a mode whose results depend on chance or on the batch."""
+        """Checks that no part of the module is in a mode whose results depend on chance or on the batch."""
         for path, part in self.module.named_modules(prefix="module"):
             about = f"{self.name}: its {path}, {type(part).__name__},"
             if part._compiled_call_impl is not None:
@@ -100,7 +100,7 @@ class NetworkCheck:
                                  f"chunk and the bounce; {EVAL if part.training else 'let it keep running statistics'}")
 
     def check_results(self) -> None:
-        """Checks what the module returns for some points, and the autograd graph of that."""
+        """Checks the values that the module returns for some points, and their autograd graph."""
         places = torch.rand(ROWS, self.coordinates, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         places = places.to(self.device, self.dtype)
         parameters = [copy_of(parameter) for parameter in self.module.parameters()]
@@ -120,7 +120,7 @@ class NetworkCheck:
         self.check_graph(first, again, parameters)
 
     def run(self, parameters: list[Tensor], places: Tensor):
-        """Runs the module at some points with these parameters, recorded by autograd."""
+        """The module's values at some points with given parameters, recorded by autograd."""
         return ModuleFunction(self.module, Use(self.texture, ())).with_parameters(parameters).run(
             places.clone().requires_grad_())
 
@@ -128,8 +128,8 @@ class NetworkCheck:
         """Checks that the results depend on the copied parameters, and on no other differentiable tensor.
 
         Args:
-            first, again: two results at the same places. What is in the graphs of both was there before.
-            copies: of the module's parameters.
+            first, again: two results at the same points. Nodes in the graphs of both existed before.
+            copies: the copied parameters.
         """
         nodes = list(graph(first))
         if any(node.name() == REENTRANT for node in nodes):

@@ -66,7 +66,7 @@ def pack(scene: Scene, cache: PackCache | None = None, light_choice: str | None 
         scene: as it is now.
         cache: what is known from the last rendering.
         light_choice: how next-event estimation picks a light; see `Renderer`.
-        aovs: with coordinates and numbers, which quantities may be about that no image needs.
+        aovs: include coordinates and numbers that only AOVs need.
         seen: the names of the sensors that are rendered, whose parameters are checked; None: all.
 
     Raises:
@@ -109,7 +109,7 @@ def objects_of(scene: Scene) -> Objects:
 
 
 def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]:
-    """All shapes as triangles; raises ValueError if one is too large."""
+    """All shapes of the scene as triangles; raises ValueError if one is too large."""
     inventory = cache.inventory(objects.scene)
     placed = placed_shapes_of(cache, objects.shapes, objects.grouped, objects.dtype,
                               [inventory.reach((shape,)) for shape in objects.shapes])
@@ -154,7 +154,7 @@ def _columns_of(cache: PackCache, objects: Objects, layout: Layout, aovs: bool) 
 
 
 def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, ...], columns: Columns) -> TriangleTable:
-    """Builds the triangle table, instances included; raises ValueError if one of these is too far away."""
+    """Builds the triangle table, instances included; raises ValueError if an instance is too far away."""
     groups, dtype, device = objects.groups, objects.dtype, objects.device
     numbers = (0,) * sum(map(len, groups)) if columns.numbers is None else instance_numbers(objects)
     instances = shown_instances(cache, groups, placed, columns.normals, numbers, dtype, device)
@@ -165,7 +165,7 @@ def triangles_of(cache: PackCache, objects: Objects, placed: tuple[PlacedShape, 
 
 def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
                  placed: tuple[PlacedShape, ...]) -> tuple[Emission, ...]:
-    """What next-event estimation needs to know about each emitter, those on surfaces first."""
+    """For each emitter what next-event estimation needs to know about it, those on surfaces first."""
     def emission(emitter: Light, count: int | None) -> Emission:
         return Emission(emitter.kind(), emitter.type, emitter.sampling_weight, radiances.row[id(emitter)],
                         radiances.lit_rows[id(emitter)], count)
@@ -177,21 +177,21 @@ def emissions_of(cache: PackCache, objects: Objects, radiances: Radiances,
 
 def _lights_of(cache: PackCache, objects: Objects, triangles: TriangleTable, emissions: tuple[Emission, ...], layout: Layout,
                light_choice: str | None, bank: Any, lit_banks: tuple[Any, ...]) -> LightTable:
-    """Builds the light table; the tables of emitters' textures are needed if lights are selected by a tree."""
+    """Builds the light table; `bank`, `lit_banks`: tables of emitters' textures, read if a tree selects lights."""
     lamps = tuple(cache.twin(number, lamp) for number, lamp in enumerate(objects.lamps))
     return light_table(cache, triangles, emissions, lamps, layout, bank, lit_banks, light_choice)
 
 
 def tables_of_media(cache: PackCache, objects: Objects) -> tuple[Table, ...]:
-    """The tables of the media, attached."""
+    """The parameter tables of the media, attached."""
     like = torch.empty(0, dtype=objects.dtype, device=objects.device)
     return tuple(stacked([cache.twin(number, medium).row()], like) for number, medium in enumerate(objects.media))
 
 
 def sides_of(cache: PackCache, objects: Objects, materials: Materials, placed: tuple[PlacedShape, ...]) -> dict[str, Any]:
-    """What `Layout` says of boundaries between media, and of surfaces there that light passes straight.
+    """The fields of `Layout` about boundaries between media, and about panes (surfaces that light passes straight).
 
-    Those are met as all others whose textures are read outside, or depend on the footprint of a sample.
+    Surfaces with network textures or textures filtered by a sample's footprint do not count as panes.
     """
     around, straight = objects.scene.around, [look.kind.straight for look in materials.appearances]
     segments = bool(objects.media) and (any(straight) or any(shape.bounds_media for shape in objects.shapes) or any(
@@ -205,7 +205,7 @@ def sides_of(cache: PackCache, objects: Objects, materials: Materials, placed: t
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:
-    """The rows of `BoundaryTable`, and of each shape its row."""
+    """The rows of `BoundaryTable`, and for each shape its row."""
     def side(shape: Surface, medium: Medium | None) -> int:
         if not shape.bounds_media:
             return SAME
@@ -218,14 +218,14 @@ def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], 
 
 
 def boundary_table(cache: PackCache, objects: Objects) -> BoundaryTable:
-    """The table of boundaries between media."""
+    """The `BoundaryTable` of the scene: the kinds of boundaries between media."""
     columns = zip(*boundaries_of(objects)[0])
     return BoundaryTable(*(torch.tensor(column, dtype=dtype, device=objects.device)
                            for column, dtype in zip(columns, (torch.int32, torch.int32, torch.bool))))
 
 
 def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, objects: Objects) -> Any:
-    """The bank, of this number, of those textures of materials that one reader reads; attached."""
+    """The table of those material textures that one reader reads, attached; `number`: its index among these tables."""
     scene, dtype, device = objects.scene, objects.dtype, objects.device
     if group.reader.outside:  # a module that is read outside is taken as it is: only it knows what its values depend on
         return group.reader.bank(list(group.textures), dtype, device)
@@ -234,7 +234,7 @@ def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, obj
 
 
 def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, ...]:
-    """Copies of textures that change only with their values; see `PackCache.twin`."""
+    """Copies of textures that are unchanged objects while values are unchanged; see `PackCache.twin`."""
     return tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
 
 

@@ -18,14 +18,14 @@ from torch_radbp.texture.rgb import RGB
 
 
 class BankBuilder:
-    """Collects textures for one table, in which each is stored once however often it is used."""
+    """Collects textures for one table, in which each distinct texture is stored once."""
 
     def __init__(self) -> None:
         self.textures: list[Texture] = []
         self.index: dict[int, int] = {}
 
     def add(self, texture: Texture) -> int:
-        """The row of `texture` in the table, to which it is added if it is new."""
+        """The row of a texture in the table; new textures are added."""
         if id(texture) not in self.index:
             self.index[id(texture)] = len(self.textures)
             self.textures.append(texture)
@@ -33,7 +33,7 @@ class BankBuilder:
 
     @property
     def reader(self) -> TableReader:
-        """The reader for all textures of the table: colours among images become images of one texel."""
+        """The reader for all textures of the table; if there are bitmaps, constant colours become images of one texel."""
         reader = reader_for(self.textures or [RGB(value=0.0)])
         kinds = reader.readers if isinstance(reader, MixedReader) else (reader,)
         return BitmapReader() if all(isinstance(kind, (BitmapReader, ColourReader)) for kind in kinds) else reader
@@ -44,7 +44,7 @@ class BankBuilder:
 
 
 class Radiances(NamedTuple):
-    """Where the texture of each emitter is stored."""
+    """For each emitter, the table and row in which its texture is stored."""
 
     reader: TableReader  # of the bank
     has_bitmaps: bool  # some textures of the bank have coordinates
@@ -55,13 +55,13 @@ class Radiances(NamedTuple):
     lit_rows: dict[int, tuple[int, ...]]  # `Emission.outside` by id of the emitter
 
     def lit_banks(self, dtype: torch.dtype, device: torch.device) -> tuple[Any, ...]:
-        """The tables of emitters' textures that are evaluated outside of compiled code."""
+        """The tables of emitters' network textures, which are evaluated outside of compiled code."""
         return tuple(reader.bank([emitter.radiated() for emitter in emitters], dtype, device)
                      for reader, emitters in zip(self.lit, self.lit_banked))
 
 
 def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
-    """Assigns the textures of emitters to tables; `cache` keeps nothing of this."""
+    """Assigns the textures of emitters to tables; `cache` is not used."""
     radiated = [(emitter, texture) for emitter in emitters if (texture := emitter.radiated()) is not None]
     outside = [(emitter, texture) for emitter, texture in radiated if reader_of(texture).outside]
     inside = [(emitter, texture) for emitter, texture in radiated if not reader_of(texture).outside]
@@ -75,13 +75,13 @@ def radiances_of(cache: PackCache, emitters: tuple[Light, ...]) -> Radiances:
 
 
 def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
-    """Numbers distinct textures, by the ids of the emitters that have them."""
+    """The index of each emitter's texture among the distinct ones, by the id of the emitter."""
     builder = BankBuilder()
     return {id(emitter): builder.add(texture) for emitter, texture in pairs}
 
 
 def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
-    """One emitter for each distinct texture: the first that has it."""
+    """For each distinct texture the first emitter that has it."""
     first: dict[int, Light] = {}
     for emitter, texture in pairs:
         first.setdefault(id(texture), emitter)

@@ -11,7 +11,7 @@ from torch_radbp.interface.texture import OutsideReader, Reader
 class Appearance(NamedTuple):
     """The kind of BSDF of a surface, and how each of its parameters is read from textures.
 
-    Lanes queue by it: the functions of a bounce are made for one appearance, and run on the lanes that meet it.
+    Lanes are queued by it: functions of a bounce are compiled for one appearance, and run on the lanes that hit it.
     """
 
     kind: Kind

@@ -39,7 +39,7 @@ ALMOST_ONE = 1.0 - 2.0**-33
 
 
 class Beside(NamedTuple):
-    """The emitters that are not in the tree, and the probabilities of selecting them."""
+    """The emitters that are not in the light tree, such as the environment, and the probabilities of selecting them."""
 
     share: Tensor  # () float64, probability of selecting one of them rather than the tree
     cumulative: Tensor  # (B,) float64
@@ -76,7 +76,7 @@ class LightNumbers(NamedTuple):
 
 
 def drawn_element(choice: TreeChoice, seen: Vantage, numbers: LightNumbers) -> tuple[Tensor, Tensor]:
-    """Samples elements from the distribution, (N,) int32, with their probabilities."""
+    """Samples a light element for each illuminated point by the tree, (N,) int32, with its probability."""
     u, beside = fine_unit(numbers.choice), choice.beside
     if beside is None:
         leaf, chance = drawn_leaf(choice.tree, seen, u)
@@ -94,10 +94,10 @@ def drawn_element(choice: TreeChoice, seen: Vantage, numbers: LightNumbers) -> t
 
 
 def chance_of_emitter(choice: TreeChoice, seen: Vantage, element: Tensor) -> Tensor:
-    """The probability of selecting an emitter in the tree by `drawn_element`, (N,).
+    """The probability with which `drawn_element` selects the emitter of an element, (N,).
 
     Args:
-        element: (N,) int32, any of them.
+        element: (N,) int32, any element of an emitter in the tree.
     """
     chance = chance_of_leaf(choice.tree, seen, lookup(choice.leaf, element))
     return chance if choice.beside is None else chance * (1.0 - choice.beside.share).to(chance.dtype)
@@ -108,11 +108,11 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
     """Builds the distribution of a scene's light elements.
 
     Args:
-        bounds: of the lights of each kind, float64.
+        bounds: for each kind of light those of its elements, float64; None: not in the tree.
         repeats: (K,) int64, the number of elements of each emitter.
         sampling_weight: (K,) of the emitters, float64.
-        within: (E,) weights of elements beside those of the same emitter; gives the dtype.
-        elements: of each kind, int64.
+        within: (E,) weights of elements relative to others of their emitter; gives the dtype.
+        elements: for each kind its elements, int64.
     """
     owner = torch.arange(len(repeats), device=repeats.device).repeat_interleave(repeats)
     in_tree = owner[torch.cat([element for each, element in zip(bounds, elements) if each is not None])]
@@ -134,7 +134,7 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
 
 
 def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Tensor, Tensor]:
-    """The probability of each element among those of its emitter, and `TreeChoice.cumulative`, in float64."""
+    """The probability of each element within its emitter, and `TreeChoice.cumulative`, in float64."""
     total = weights.new_zeros(len(repeats)).index_add_(0, owner, weights)
     pmf = torch.where(total[owner] > 0, weights / total[owner].clamp_min(1e-300), (1.0 / repeats.double())[owner])
     summed = running_sum(pmf)
@@ -179,9 +179,9 @@ def bounds_of_kind(kind: LightKind, table: Table, textures: EmitterTextures, tex
     """The bounds (position, direction, power) of the lights of one kind, float64, detached.
 
     Args:
-        table: of the kind.
-        textures: of emitters.
-        texture: (rows,) int32, of each.
+        table: the lights of the kind.
+        textures: of all emitters.
+        texture: (rows,) int32, the texture of each light.
         outside: (rows,) int32 each, as `LightTable.outside`.
     """
     table, textures = (with_leaves(record, [leaf.detach() if isinstance(leaf, Tensor) else leaf
@@ -191,7 +191,7 @@ def bounds_of_kind(kind: LightKind, table: Table, textures: EmitterTextures, tex
 
 def mean_luminance(kind: LightKind, table: Table, textures: EmitterTextures, texture: Tensor,
                    outside: tuple[Tensor, ...]) -> Tensor:
-    """The luminance of each light's texture, float64: the mean over some points of it."""
+    """The luminance of each light's texture, float64: the mean over some points of the light."""
     places, reader = [(i + 0.5) / GRID for i in range(GRID)], textures.reader
     points = [(u, v) for u in places for v in places if not kind.on_surface or u + v < 1.0]
     if not reader.needs_uv and not reader.attributes and not outside:
@@ -210,9 +210,9 @@ def mean_luminance(kind: LightKind, table: Table, textures: EmitterTextures, tex
 
 
 def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader) -> tuple[Vec3, TexturePoint]:
-    """Where the textures of lights are evaluated at the same u and v on each, in the world and as texture points.
+    """The points at the same u and v on each light, as world positions and as texture points.
 
-    Of lights that are not on surfaces the place is 0.
+    For lights that are not on surfaces the position is 0.
     """
     if isinstance(table, EmittingTriangles):
         like = table.inverse_area

@@ -17,7 +17,7 @@ from torch_radbp.tensors.vec import Vec3, where
 
 
 class Case(NamedTuple):
-    """One kind of light among those of a scene, and the lanes that have it."""
+    """One kind of light in a scene, and the lanes whose light is of that kind."""
 
     number: int  # in `Layout.lights`
     kind: LightKind
@@ -25,7 +25,7 @@ class Case(NamedTuple):
 
 
 def light_cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind]) -> list[Case]:
-    """The kinds of light that elements of the light table may have."""
+    """For each kind of light the lanes whose element of the light table has it."""
     if len(kinds) == 1:
         return [Case(*item, None) for item in kinds.items()]
     which = lookup(scene.lights.kind, element)
@@ -33,7 +33,7 @@ def light_cases(scene: SceneTensors, element: Tensor, kinds: dict[int, LightKind
 
 
 def visible_cases(scene: SceneTensors, element: Tensor) -> list[Case]:
-    """The kinds of light that triangles in the light table may have which are visible emitters."""
+    """For each kind of surface light that is visible as an emitter, the lanes whose element has it."""
     return [case for case in light_cases(scene, element, scene.layout.surface_lights) if not case.kind.delta]
 
 
@@ -54,10 +54,10 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
     """The emission textures of elements of the light table, evaluated at points; attached.
 
     Args:
-        scene, element: the elements.
+        scene, element: the light table, and (N,) rows of it.
         p: world positions of the points.
-        point: the points.
-        texture_values: for each of `Layout.lit` its values there.
+        point: the same as texture coordinates.
+        texture_values: for each of `Layout.lit` its network texture values there.
     """
     value = scene.layout.radiance.read(scene.radiance, lookup(scene.lights.radiance, element), point)
     for reader, rows, outside_value in zip(scene.layout.lit, scene.lights.outside, texture_values):
@@ -66,7 +66,7 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
 
 
 def among(cases: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
-    """True in the lanes whose kind of light is wanted, (N,) bool; None if no kind is."""
+    """(N,) bool: lanes whose kind of light is `wanted`; None if no kind is."""
     if all(wanted):
         return torch.ones_like(element, dtype=torch.bool)
     masks = [case.mask for case, want in zip(cases, wanted) if want]
@@ -74,7 +74,7 @@ def among(cases: list[Case], wanted: list[bool], element: Tensor) -> Tensor | No
 
 
 def merged_by_case(cases: list[Case], values: list):
-    """Merges values computed per kind of light by each lane's kind; None (any value will do) only if all are None."""
+    """Merges values that were computed for each kind of light by the kind of each lane; None only if all are None."""
     result = None
     for case, value in zip(cases, values):
         if result is None:

@@ -30,14 +30,14 @@ LEAST_COSINE = 0.05  # at the illuminated surface: shading normals, and rounding
 
 
 class Vantage(NamedTuple):
-    """The point for which a light is selected, (N,); detached."""
+    """The illuminated point, with normal, for which a light is selected, (N,); detached."""
 
     p: Vec3  # world position
     n: Vec3  # unit shading normal, of either sign: light may come through the surface
 
 
 class LightNodes(NamedTuple):
-    """The nodes of a tree but for the root, level by level, (2^(depth + 1) - 2,)."""
+    """The nodes of a light tree but for the root, level by level, (2^(depth + 1) - 2,)."""
 
     middle: Vec3  # of the sphere around the lights
     squared_radius: Tensor
@@ -56,7 +56,7 @@ class LightTree(NamedTuple):
 
 
 def light_tree(bounds: LightBounds, like: Tensor) -> tuple[LightTree, Tensor]:
-    """Builds the tree of some emitters, and returns the leaf of each, (K,) int32, too.
+    """Builds the light tree of some emitters; returns also the leaf of each, (K,) int32.
 
     Args:
         bounds: of K > 0 emitters, float64.
@@ -70,7 +70,7 @@ def light_tree(bounds: LightBounds, like: Tensor) -> tuple[LightTree, Tensor]:
 
 
 def halved(places: Tensor) -> tuple[Tensor, int]:
-    """Assigns K places (K, 3) to leaves of a complete tree by halving; the leaves, int64, and the depth."""
+    """Assigns K points (K, 3) to the leaves of a complete tree by median splits: the leaves, int64, and the depth."""
     depth = (len(places) - 1).bit_length()
     node = torch.zeros(len(places), dtype=torch.int64, device=places.device)
     for level in range(depth):
@@ -87,7 +87,7 @@ def halved(places: Tensor) -> tuple[Tensor, int]:
 
 
 def joined_levels(levels: list[LightBounds], like: LightBounds) -> LightBounds:
-    """Joins the bounds of all levels of the tree."""
+    """Joins the bounds of the nodes of all levels of the tree."""
     def joined(parts: list, of) -> Tensor | Vec3:
         if isinstance(of, Vec3):
             return Vec3(*(joined(list(column), part) for column, part in zip(zip(*parts), of))) if parts else of.map(
@@ -146,12 +146,12 @@ def less(cosine: Tensor, sine: Tensor, other_cosine: Tensor, other_sine: Tensor)
 
 
 def _descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Tensor]) -> tuple[Tensor, Tensor]:
-    """Descends the tree: the leaf reached, (N,) int32, and its probability; 0 where no light contributes.
+    """Descends the light tree: the leaf reached, (N,) int32, and its probability; 0 where no light contributes.
 
     Args:
         tree: detached.
-        seen: from where.
-        turn: decides at each level, given the probability of the left child, who goes to the right, (N,) bool.
+        seen: the illuminated points.
+        turn: decides at each level, given the probability of the left child, which lanes go right, (N,) bool.
     """
     leaf, chance = torch.zeros_like(seen.p.x, dtype=torch.int32), torch.ones_like(seen.p.x)
     for level in range(tree.depth):
@@ -166,7 +166,7 @@ def _descended(tree: LightTree, seen: Vantage, turn: Callable[[int, Tensor], Ten
 
 
 def drawn_leaf(tree: LightTree, seen: Vantage, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Samples a leaf by a random number, and its probability.
+    """Samples a leaf of the light tree, (N,) int32, with its probability.
 
     Args:
         u: (N,) uniform in [0, 1), float64 with 32 random bits, of which each level takes what it needs.

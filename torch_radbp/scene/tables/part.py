@@ -18,18 +18,18 @@ from torch_radbp.tensors.record import leaves_of
 
 
 def part_of(scene: SceneTensors, scatterer: Appearance | None, vertex: Hashable = None) -> SceneTensors:
-    """The tables that are read where light is scattered by `scatterer`; None: where paths end. `vertex`: see `Layout`."""
+    """The part of a scene that is read where `scatterer` scatters light; None: where paths end. `vertex`: see `Layout`."""
     layout = replace(layout_of_part(scene.layout, scatterer), vertex=vertex)
     return _reduced(scene, scene.layout, scatterer)._replace(layout=layout)
 
 
 def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearance | None) -> list:
-    """Selects from things that belong to a scene's leaves (as gradients) those that belong to the leaves of a part.
+    """For each tensor in a part of the scene its entry, such as a gradient, in a record of the whole scene.
 
     Args:
-        belonging: the record of the whole scene, with things that belong to its leaves in their places.
+        belonging: a record of the scene's structure with these entries in place of its tensors.
         layout: of the scene.
-        scatterer: of the part.
+        scatterer: the appearance of the part.
     """
     return leaves_of(_reduced(belonging, layout, scatterer))
 
@@ -66,12 +66,12 @@ def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
 
 
 def looks_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[Appearance, ...]:
-    """The appearances whose materials a part of the scene reads: those of its vertices, and of what rays pass on the way."""
+    """The appearances whose materials a part of the scene reads: that of its vertices, and those of panes that rays pass."""
     return *(() if scatterer is None else (scatterer,)), *(look for *_, look in layout.panes)
 
 
 def readers_of(looks: tuple[Appearance, ...]) -> tuple[Reader, ...]:
-    """The readers of appearances, each once."""
+    """The texture readers of some appearances, each once."""
     return tuple(dict.fromkeys(reader for look in looks for reader in look.readers))
 
 
@@ -82,5 +82,5 @@ def attributes_of_part(layout: Layout, scatterer: Appearance | None) -> tuple[st
 
 
 def _chosen(names: tuple[str, ...], columns: tuple, wanted: tuple[str, ...]) -> tuple:
-    """Selects columns of attributes by name, in their order."""
+    """Selects the columns whose names are wanted, in their order."""
     return tuple(column for name, column in zip(names, columns) if name in wanted)

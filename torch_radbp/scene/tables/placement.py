@@ -40,9 +40,9 @@ def instance_table(matrices: Tensor, normals: bool, casting: Instances, number: 
 
     Args:
         matrices: (I, 4, 4) poses in the order of `casting`.
-        normals: whether a vertex has a normal.
-        casting: of these instances.
-        number: `InstanceTable.number`.
+        normals: whether there are vertex normals.
+        casting: the record of these instances for ray casters.
+        number: the column `InstanceTable.number`.
     """
     identity = torch.eye(4, dtype=matrices.dtype, device=matrices.device)[None]
     matrices = torch.cat([identity, matrices])
@@ -83,7 +83,7 @@ def boxes(vertices: Sequence[Tensor], to_world: Sequence[Tensor]) -> Tensor:
 
 
 def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
-    """Transforms (N,) positions on the triangles hit to the world; attached to the poses of instances."""
+    """Transforms (N,) points of hit triangles from the frame of their group to the world; attached to instance poses."""
     table = scene.triangles.instances
     if table is None:
         return points
@@ -92,13 +92,13 @@ def points_in_world(scene, hit, points: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
 
 
 def shown_direction(scene, hit, direction: Vec3) -> Vec3:
-    """Transforms (N,) directions along the triangles hit, unit or zero, to the world; attached to the poses of instances."""
+    """Transforms (N,) directions along hit triangles, unit or zero, to the world; attached to instance poses."""
     table = scene.triangles.instances
     return direction if table is None else normalize(product(lookup(table.linear, hit.instance), direction))
 
 
 def shown_normals(scene, hit, normals: tuple[Vec3, ...]) -> tuple[Vec3, ...]:
-    """Transforms (N,) unit vertex normals of the triangles hit to the world; attached to the poses of instances."""
+    """Transforms (N,) unit vertex normals of hit triangles to the world; attached to instance poses."""
     table = scene.triangles.instances
     if table is None:
         return normals
@@ -112,7 +112,7 @@ def product(matrix: Rows, vector: Vec3) -> Vec3:
 
 
 def power_of_two_above(x: Tensor) -> Tensor:
-    """The least power of two greater than x > 0, detached; 0 for 0. From the bits, as `torch.frexp`."""
+    """The least power of two greater than x > 0, as `torch.frexp` gives it, detached; 0 for 0."""
     kind, exponent = (torch.int32, 0x7F800000) if x.dtype == torch.float32 else (torch.int64, 0x7FF << 52)
     return 2.0 * (x.detach().view(kind) & exponent).view(x.dtype)
 

@@ -25,7 +25,7 @@ SAME = -2  # in the place of a medium's number: a surface that changes nothing
 
 @dataclass(frozen=True)
 class Layout:
-    """The features that a scene uses: static, so that absent ones cost nothing. In records of tensors it is one constant."""
+    """The static features of a scene, for which code is compiled: absent ones cost nothing. A constant in records."""
 
     bending: bool  # differentiated parameters steer directions that hybrid sampling differentiates
     bends_ideally: bool  # so do those of ideal mirrors and glass
@@ -71,7 +71,7 @@ class Layout:
 
     @property
     def reads_outside(self) -> bool:
-        """True if some textures are evaluated outside of compiled code."""
+        """True if there are network textures, which are evaluated outside of compiled code."""
         return bool(self.lit) or any(look.outside for look in self.appearances)
 
     @property
@@ -86,7 +86,7 @@ class Layout:
 
     @property
     def emitting_media(self) -> tuple[int, ...]:
-        """The numbers of the media that emit light; paths that begin at lamps meet none."""
+        """The numbers of the media whose emission counts: of all that emit, but of none for paths that begin at lamps."""
         return tuple(number for number, kind in enumerate(self.media)
                      if kind.emission is not None and not self.from_lamps)
 
@@ -156,7 +156,7 @@ class MaterialTable(NamedTuple):
 
 
 class BoundaryTable(NamedTuple):
-    """The kinds of boundaries between media, a row each; surfaces that are none have a row, too."""
+    """The kinds of boundaries between media, a row each; surfaces that bound no medium have a row, too."""
 
     inside: Tensor  # (B,) int32 number of the medium behind the surface; -1: empty space, `SAME`: that before it
     outside: Tensor  # (B,) int32 likewise before it, on the side of its normal
@@ -166,7 +166,7 @@ class BoundaryTable(NamedTuple):
 class LightTable(NamedTuple):
     """The E elements for light selection: triangles of emitters on surfaces first, then other emitters.
 
-    Those of one kind are the rows of its table, in order.
+    The elements of one kind of light are the rows of that kind's table, in order.
     """
 
     choice: AliasTable | TreeChoice
@@ -184,7 +184,7 @@ class LightTable(NamedTuple):
 
 
 class SceneTensors(NamedTuple):
-    """Everything that the path tracer reads; attached to the parameters of the scene."""
+    """All tables that the path tracer reads; attached to the parameters of the scene."""
 
     triangles: TriangleTable
     materials: MaterialTable
@@ -206,17 +206,17 @@ class SceneTensors(NamedTuple):
 
     @property
     def lights_move(self) -> bool:
-        """True if the position or direction of a light that is no surface is differentiated."""
+        """True if the position or direction of a light that is not a surface is differentiated."""
         return any_differentiated([table for kind, table in zip(self.layout.lights, self.lights.tables)
                                    if not (kind.surround or kind.on_surface)])
 
 
 def extent_of(scene: Any) -> Tensor:
-    """() float64, the longest side of the bounding box of the vertices of a `SceneTensors` or a `Geometry`."""
+    """() float64, the longest side of the bounding box of all vertices of a `SceneTensors` or `Geometry`."""
     ends = [part.aminmax() for part in scene.triangles.vertices.p]
     return torch.stack([end.max - end.min for end in ends]).amax().double()
 
 
 def proposal_of(scene: SceneTensors) -> SceneTensors:
-    """The scene record that decides sampling of directions, lobes and lights: the same tables, detached."""
+    """The scene by which directions, lobes and lights are sampled: the same tables, detached."""
     return detached(scene)

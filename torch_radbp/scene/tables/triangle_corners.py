@@ -14,7 +14,7 @@ Corners = tuple[Vec3, Vec3, Vec3]  # (N,) positions of the vertices of a triangl
 
 
 def at_corners(table: Vec2 | Vec3, rows: tuple[Tensor, Tensor, Tensor]) -> tuple[Vec2 | Vec3, ...]:
-    """Gathers the entries of a vertex table at the three vertices of triangles."""
+    """The entries of a vertex table at the three corners of triangles; `rows`: (N,) each."""
     return tuple(lookup(table, row) for row in rows)
 
 
