@@ -29,7 +29,8 @@ class NotingDriver:
     CUjit_option = SimpleNamespace(CU_JIT_ERROR_LOG_BUFFER="log", CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES="size")
     CUstreamCaptureMode = SimpleNamespace(CU_STREAM_CAPTURE_MODE_RELAXED="relaxed")
     answers = {"cuStreamIsCapturing": (0,), "cuStreamCreate": (5,), "cuStreamEndCapture": ("noted",),
-               "cuGraphInstantiate": ("graph",), "cuDeviceGet": ("device",), "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
+               "cuGraphInstantiate": ("graph",), "cuDeviceGet": ("device",),
+               "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
                "cuModuleGetFunction": ("kernel",), "cuLinkCreate": ("link",), "cuCtxPopCurrent": ("context",)}
 
     def __init__(self, failing: str = ""):

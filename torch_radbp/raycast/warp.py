@@ -176,7 +176,7 @@ class Warp:
         return None if self._device.is_cpu else wp.stream_from_torch(self._used())
 
     def _used(self) -> torch.cuda.Stream:
-        """torch's current CUDA stream, on which the triangles are read from now on, unless it only notes what to do later."""
+        """torch's current CUDA stream, on which the triangles are read from now on, unless it is being captured."""
         current = torch.cuda.current_stream(self.vertices.device)
         if current != torch.cuda.default_stream(self.vertices.device) and not torch.cuda.is_current_stream_capturing():
             self._streams.add(current)

@@ -1,13 +1,13 @@
 """Sequences of launches that come again, as CUDA graphs: one call of the driver starts all of their kernels.
 
-Where shapes repeat, a step starts the same kernels as the last one. If they work in the same memory, too, each kernel is given
-the very words that it was given before: those are the sequences that have a graph. It is found by all of these words, so that
-none is ever started with others; and it is made when they come for the second time, since a sequence that never comes again is
-not worth a graph, which takes longer to make than to launch.
+Where shapes repeat, a step starts the same kernels as the last one. If they work in the same memory, too, each kernel is
+given the very words that it was given before: those are the sequences that have a graph. It is found by all of these words,
+so that none is ever started with others; and it is made when they come for the second time, since a sequence that never
+comes again is not worth a graph, which takes longer to make than to launch.
 
 Whether memory is the same is up to allocators. That of torch cuts blocks and joins them, so that the many that a step takes
-may wander about for long; so those of sequences are kept here, by their sizes, and handed out in the same order in each step.
-What torch itself computes in a step, such as packed parameters, mostly lies where it lay one or two steps ago.
+may wander about for long; so those of sequences are kept here, by their sizes, and handed out in the same order in each
+step. What torch itself computes in a step, such as packed parameters, mostly lies where it lay one or two steps ago.
 
 Of many lanes kernels take longer than their launches. They have no graphs, and the memory that torch hands out.
 
@@ -62,8 +62,8 @@ class Graphs:
 class SequenceMemory:
     """Memory of a device that sequences of launches work in: blocks that nobody holds are handed out again.
 
-    A block serves the stream that it was made for, as those of torch's allocator do: what is launched there later may have it
-    while what was launched before still runs.
+    A block serves the stream that it was made for, as those of torch's allocator do: what is launched there later may have
+    it while what was launched before still runs.
     """
 
     def __init__(self) -> None:
