@@ -13,8 +13,9 @@ def size(resolution: int, spp: int, ours: float, theirs: float, first: bool = Fa
     passes = {name: [{"forward": each * seconds, "backward": 3 * each * seconds, "cpu": 1.0} for each in (1, 9, 2, 1, 2)]
               for name, seconds in ((OURS, ours), (MITSUBA, theirs))}
     return {"setting": {"resolution": resolution, "spp": spp, "max_depth": 4}, "passes": passes,
-            "first": {name: own[0] for name, own in passes.items()} if first else None, "kernels": 0.9, "peak": 100 << 20,
-            "planned": 130 << 20, "gradient_sums": {OURS: [{"a": 3.0}, {"a": 5.0}], MITSUBA: [{"a": 0.0}, {"a": 2.0}]}}
+            "first": {name: own[0] for name, own in passes.items()} if first else None, "kernels": 0.9, "graphs": 0.5,
+            "peak": 100 << 20, "planned": 130 << 20,
+            "gradient_sums": {OURS: [{"a": 3.0}, {"a": 5.0}], MITSUBA: [{"a": 0.0}, {"a": 2.0}]}}
 
 
 def noise(image: float, *gradients: float) -> dict:
@@ -39,7 +40,7 @@ def test_figures_stand_beside_their_bounds():
 def test_a_row_has_a_cell_for_each_head():
     cells = [cell.strip() for cell in row("box", size(512, 64, 0.1, 0.2, first=True)).strip("|").split("|")]
     assert cells == ["box", "512 x 512, 64", "0.4000 + 1.2000", "0.2000 + 0.6000", "0.50", "0.50", "0.50", "0.8, 0.4",
-                     "90 %", "100", "1.30", "+2.1"]
+                     "90 %", "50 %", "100", "1.30", "+2.1"]
     assert len(cells) == len(HEADER.splitlines()[0].strip("|").split("|"))
 
 
