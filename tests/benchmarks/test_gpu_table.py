@@ -1,11 +1,14 @@
 """The table of a card: its arithmetic, and that it runs from end to end, here on the CPU."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from benchmarks import gpu_table
-from benchmarks.gpu_table import HEADER, MITSUBA, OURS, bounds_of, covered, main, row, summary
+from benchmarks.gpu_table import HEADER, MITSUBA, OURS, bounds_of, covered, graphs_share, main, row, summary
+from torch_radbp.jit.nvidia.driver import Driver
+from torch_radbp.jit.nvidia.gpu import Gpu
 
 
 def size(resolution: int, spp: int, ours: float, theirs: float, first: bool = False) -> dict:
@@ -46,6 +49,13 @@ def test_a_row_has_a_cell_for_each_head():
 
 def test_kernels_beside_each_other_count_once():
     assert covered([(5.0, 6.0), (0.0, 2.0), (1.0, 4.0), (1.5, 3.0)]) == 5.0 and covered([]) == 0.0
+
+
+def test_graphs_are_counted_among_sequences(monkeypatch):
+    monkeypatch.setattr(Gpu, "launch_all", lambda *given: None)
+    monkeypatch.setattr(Driver, "play", lambda *given: None)
+    peer = SimpleNamespace(run=lambda seed: [Gpu.launch_all(None) for _ in range(4)] + [Driver.play(None, None)])
+    assert graphs_share(peer, 0) == 0.25 and graphs_share(SimpleNamespace(run=lambda seed: None), 0) == 0.0
 
 
 def test_it_runs_from_end_to_end_and_saves_what_it_finds(tmp_path, capsys, monkeypatch):

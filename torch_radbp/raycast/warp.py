@@ -103,7 +103,7 @@ class Warp:
                                           known is not None and known.unmoved, self._stream())
             self._geometry = shown = kernels.shown_groups(groups, instances, self._unit)
             self.groups, self._head = shown.groups, shown.head()
-        self._given = b"".join(map(bytes_of, [*self._head, self._unit, lanes_of(self._rays_counted)]))
+        self._given = b"".join(map(argument_bytes, [*self._head, self._unit, lanes_of(self._rays_counted)]))
         weakref.finalize(self, release, self._geometry, self._streams).atexit = False
 
     def intersect(self, ray: Ray) -> Hit:
@@ -224,7 +224,7 @@ def loaded(name: str, device: torch.device) -> ModuleType:
     return module
 
 
-def bytes_of(argument) -> bytes:
+def argument_bytes(argument) -> bytes:
     """What kernels are given of an argument: a number, or a vector or a description of memory by Warp."""
     if isinstance(argument, (int, float)):
         return pack("Q" if isinstance(argument, int) else "d", argument)
