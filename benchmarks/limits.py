@@ -25,12 +25,13 @@ from unittest.mock import patch
 
 import torch
 
-from benchmarks.peers import Ours
+from benchmarks.peers import Ours, compile_well
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
-from torch_radbp.jit.cpu.cpu import CpuLoop, loop_module
-from torch_radbp.jit.cpu.machine import host_width, object_code
+from torch_radbp.jit.cpu.cpu import loop_module
+from torch_radbp.jit.cpu.kernel_code import CpuLoop, KernelCode
+from torch_radbp.jit.cpu.machine import host_width
 from torch_radbp.jit.lane.emit import ProgramText
 from torch_radbp.jit.lane.graph import LANES, Program, Value
 from torch_radbp.jit.lane.instructions import memory
@@ -77,7 +78,8 @@ class Unread(ProgramText):
 
 def without_reads(program: Program) -> CpuLoop:
     """The loop of a program without its gathers."""
-    return CpuLoop(object_code(loop_module(Unread(program, host_width()).instructions(), host_width())))
+    text = loop_module(Unread(program, host_width()).instructions(), host_width())
+    return CpuLoop(KernelCode.made(text, well=True).packed())
 
 
 def copied(x):
@@ -189,6 +191,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    compile_well()
     limits = machine()
     print(f"one thread: {limits.moved / 1e9:.1f} GB/s, {limits.operations / 1e9:.1f} billion operations and "
           f"{limits.gathers / 1e9:.2f} billion gathers a second (float32)\n")

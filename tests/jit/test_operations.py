@@ -12,13 +12,15 @@ import torch
 from tests.jit.edge_values import assert_same, pairs
 from tests.jit.emulated import emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
+from tests.jit.quickly import Quick
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.cpu.cpu import Cpu
 from torch_radbp.jit.lane.graph import LANES
 from torch_radbp.jit.lane.trace import traced_program
 
 TARGETS = {str(width): Cpu(width) for width in (1, 4, 8, 16)} | {
-    "gpu": emulated(), "ptx": pytest.param(interpreted(), marks=[needs_interpreter, pytest.mark.deep])}
+    "made quickly": Quick(), "gpu": emulated(),
+    "ptx": pytest.param(interpreted(), marks=[needs_interpreter, pytest.mark.deep])}
 FLOATS = (torch.float32, torch.float64)
 INTEGERS = (torch.int32, torch.int64)
 

@@ -32,7 +32,12 @@ def test_a_gather_is_one_instruction_of_base_and_32_bit_indices():
     text = Cpu(8).text(PROGRAM)
     assert "getelementptr float, ptr %in0, <8 x i32>" in text
     assert text.count("call <8 x float> @llvm.masked.gather.v8f32.v8p0") == 1
-    assert "fadd contract <8 x float>" in text and "nnan" not in text and "ninf" not in text
+
+
+def test_fusing_is_the_only_liberty_and_is_taken_by_name():
+    text = Cpu(8).text(PROGRAM)
+    assert text.count("call <8 x float> @llvm.fma.v8f32") == 1 and text.count("fmul <8 x float>") == 2
+    assert not any(word in text for word in ("contract", "reassoc", "nnan", "ninf", "nsz", "fast"))
 
 
 def test_single_lanes_have_no_vectors():

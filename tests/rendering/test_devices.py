@@ -73,7 +73,7 @@ OF_SHADOWS = {"descended", "edge_found", "edge_tried", "edge_passed", "direct_li
               *OF_CROSSINGS}
 OF_CONTACTS = {"light_line"}  # of bodies that touch
 OF_MIRRORS = {"goes_on", "ideal_vertex", "no_direction", "scattered_ideally", "parted", "unparted", "drawn_by_steps",
-              "way_to_light"}
+              "side_between", "walked", "way_to_light"}
 OF_FEW_EDGES = {"edge_tried"}  # few beside the samples
 OF_EDGES = {"boxes_around", "contour_length", "contour_place", "crosses", "edge_bounds", "edge_place", "edge_weight",
             "in_sight", "merged_bounds", "paths_beside", "ray_along_edge", "rays_beside"}

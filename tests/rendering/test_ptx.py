@@ -1,6 +1,6 @@
 """Whole renderings by PTX, through CUDA's driver, both of which are stood in for (`tests/jit/interpreter.py`).
 
-Where nothing is fused, every call of every kernel has the bits of the processor's loop; none touches what it is not given.
+Every call of every kernel has the bits of the processor's loop; none touches what it is not given.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from tests.jit.interpreter import CheckedGpu, CheckedLoop, interpreted, needs_in
 from tests.rendering.on_gpu import render_on
 from tests.rendering.recorded import SCENES, build
 from tests.scenes import CASES, cornell
-from torch_radbp.jit.cpu.cpu import Cpu, CpuLoop
-from torch_radbp.jit.lane import instructions
+from torch_radbp.jit.cpu.cpu import Cpu
+from torch_radbp.jit.cpu.kernel_code import CpuLoop
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.lane.lowered import without_library
 from torch_radbp.path import vertices
@@ -35,14 +35,6 @@ ARCHITECTURES = ("sm_80", "sm_90")
 def nothing_kept(monkeypatch):
     """PTX is not kept in the place of machine code."""
     monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
-
-
-@pytest.fixture
-def unfused(monkeypatch):
-    """Products and sums are rounded one by one."""
-    for operation in ("add", "sub", "mul"):
-        line = instructions.FLOATING[operation].replace(" contract", "")
-        monkeypatch.setitem(instructions.FLOATING, operation, line)
 
 
 @pytest.fixture
@@ -94,7 +86,7 @@ CASES_OF_KERNELS = [*((name, "hybrid", torch.float32, "sm_80") for name in SCENE
 
 @pytest.mark.parametrize("name, sampling, dtype, architecture", CASES_OF_KERNELS,
                          ids=[f"{name}-{sampling}" for name, sampling, *_ in CASES_OF_KERNELS])
-def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, architecture, unfused, at_once, monkeypatch):
+def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, architecture, at_once, monkeypatch):
     scene = build(name, dtype)
     names = [name for name, _ in scene.named_parameters()]
     settings = {"spp": 1, "max_depth": 4, "rr_depth": 2, "sampling": sampling}
@@ -104,7 +96,7 @@ def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, archi
     image, found = image_and_gradients(scene, names, compile=True, **settings)
     driver = device.launcher.driver
     assert driver.launches["lanes"] > 10 and driver.launches["put"] and driver.launches["scatter"]
-    assert all(f".target {architecture}" in text and "fma" not in text for text in driver.texts)
+    assert all(f".target {architecture}" in text for text in driver.texts)
     if dtype == torch.float64:
         assert relative_error(image, expected) < 1e-12
         for name, gradient, wanted in zip(names, found, gradients):
@@ -113,7 +105,7 @@ def test_every_kernel_has_the_bits_of_the_processor(name, sampling, dtype, archi
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_every_kernel_of_the_benchmarks_has_the_bits_of_the_processor(name, unfused, at_once, monkeypatch, tmp_path):
+def test_every_kernel_of_the_benchmarks_has_the_bits_of_the_processor(name, at_once, monkeypatch, tmp_path):
     device = Compared(interpreted().launcher)
     render_on(device, monkeypatch)
     image = BENCHMARKS[name].make(tmp_path, QUICK).renderer(True)(seed=1)

@@ -8,6 +8,7 @@ import operator
 import pickle
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -61,6 +62,10 @@ class Compiled:
         if given.lanes and self.loop is not None:
             self.loop.result().run(given.lanes, [given.pointers[place] for place in self.inputs],
                                    [given.sizes[place] for place in self.inputs], outputs)
+
+    def takes(self, lanes: int) -> bool:
+        """Counts lanes that code outside takes; False if the code there is the best that there will be."""
+        return self.loop is not None and self.loop.result().takes(lanes)
 
     def load(self) -> None:
         """Loads the code now instead of at the first run."""
@@ -126,7 +131,7 @@ def read_compiled(name: str, target: Target) -> Compiled | None:
         interface, code = pickle.loads(found)
     except UNREADABLE:
         return None
-    return ready(interface, Later(lambda: code), target)
+    return ready(name, interface, Later(lambda: code), target)
 
 
 def compiled_program(name: str | None, interface: Interface, program: Program, target: Target) -> Compiled:
@@ -142,12 +147,13 @@ def compiled_program(name: str | None, interface: Interface, program: Program, t
         later.meanwhile()
     else:
         later.result()
-    return ready(interface, later, target)
+    return ready(name, interface, later, target)
 
 
-def ready(interface: Interface, code: Later[bytes], target: Target) -> Compiled:
+def ready(name: str | None, interface: Interface, code: Later[bytes], target: Target) -> Compiled:
     """A compiled function whose machine code is loaded at the first run, or in the background; no code without outputs."""
-    loop = Later(lambda: target.loop(code.result(), interface.searched)) if interface.dtypes else None
+    keep = None if name is None else partial(write_compiled, name, interface)
+    loop = Later(lambda: target.loop(code.result(), interface.searched, keep)) if interface.dtypes else None
     return Compiled(interface, loop.meanwhile() if loop is not None and target.loads_ahead else loop)
 
 

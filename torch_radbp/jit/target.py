@@ -7,7 +7,7 @@ instructions themselves are those of `lane/emit.py` for all. It also moves lanes
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import torch
@@ -66,8 +66,14 @@ class Target(Protocol):
     def code(self, program: Program) -> bytes:
         """Compiles a program: to machine code, or to what the device's driver takes."""
 
-    def loop(self, code: bytes, searched: Sequence[int]) -> Loop:
-        """Loads compiled code; `searched`: the indices of the inputs whose lengths it needs."""
+    def loop(self, code: bytes, searched: Sequence[int], keep: Callable[[bytes], None] | None = None) -> Loop:
+        """Loads compiled code.
+
+        Args:
+            code: from `code`.
+            searched: the indices of the inputs whose lengths it needs.
+            keep: is given better code for other processes, if there ever is.
+        """
 
     def compile(self, program: Program) -> Loop:
         """Compiles and loads a program."""

@@ -249,6 +249,7 @@ def run_in_tiles(steps: Sequence[TileStep], lanes: int) -> int:
         if number == 0:
             for place, item in enumerate(given.items[:count]):
                 links.extend([place, item.element_size()])
+        recorded.takes(lanes)
         functions = array("q", [alone if function == shared else function for function in recorded.functions])
         template = given.addresses + given.lengths
         spans = array("q", [border for span in recorded.rays for border in span])

@@ -27,6 +27,7 @@ from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.stage import Stages, stage
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, cross, dot, interpolated, rows, where
 
 EDGE, RIM, MEETING, LINE, HORIZON, SHADOW = range(6)
@@ -59,7 +60,8 @@ def curves_crossed(searched: Searched, crossed: Crossings) -> tuple[Curves, Tens
     scene, lines = searched.call.scene, searched.surfaces.lines
     geometry, hit, beyond = geometry_of(scene), crossed.below.hit, crossed.above.hit
     rays = [_in_double(met.ray) for met in (crossed.below, crossed.above)]
-    side, is_edge = nearest_side(geometry, searched.surfaces.smooth.continues, *sides_of_curves(searched, crossed, rays))
+    side, is_edge = nearest_side(searched.call.stages, geometry, searched.surfaces.smooth.continues,
+                                 *sides_of_curves(searched, crossed, rays))
     meets = (hit.prim >= 0) & (beyond.prim >= 0) & _inside(_corners_of(geometry, beyond.prim, beyond.instance), rays[0]) & (
         _inside(_corners_of(geometry, hit.prim, hit.instance), rays[1]))
     kind = torch.where(meets, MEETING, EDGE)
@@ -92,7 +94,8 @@ class SeenSide(NamedTuple):
     beside: Tensor  # int32, the next triangle across it if the surface goes on there, else -1
 
 
-def nearest_side(geometry: Geometry, continues: Tensor, rays: list[Ray], hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
+def nearest_side(stages: Stages, geometry: Geometry, continues: Tensor, rays: list[Ray],
+                 hits: list[Hit]) -> tuple[TriangleSide, Tensor]:
     """Of a hit triangle's sides the nearest to two neighbouring rays, and (K,) bool: it may pass between them.
 
     A side across which a surface continues hides nothing, unless it lies between the two hits. Where a smooth surface turns
@@ -100,32 +103,68 @@ def nearest_side(geometry: Geometry, continues: Tensor, rays: list[Ray], hits: l
     taken.
 
     Args:
+        stages: compiled or not.
         continues: as of `SmoothParts`.
         rays, hits: the two neighbouring rays, and what they hit.
     """
-    one, other = hits
+    seen, nearer = stages(side_between)(geometry, continues, *rays, *hits)
+    left = (~seen.between).nonzero().squeeze(1)
+    if len(left):
+        walk = rows(SideWalk(seen, *rays, *nearer), left)
+        step = stages(walked)
+        for _ in range(WALK):
+            walk = step(geometry, continues, walk)
+            if not (walk.prim >= 0).any():
+                break
+        put_rows(seen, left.int(), walk.best)
+    return seen.side, seen.near
+
+
+class NearerTriangle(NamedTuple):
+    """The triangle that the nearer of two neighbouring rays hits, for each lane, (K,)."""
+
+    misses: Ray  # the other ray
+    prim: Tensor  # int32, the triangle; -1: none
+    instance: Tensor | None
+    beyond: Tensor  # int32, what the other ray hits
+
+
+class SideWalk(NamedTuple):
+    """A walk over the triangles of smooth surfaces, away from where a ray hits them, (K,)."""
+
+    best: SeenSide  # of all sides so far
+    one: Ray
+    other: Ray
+    misses: Ray  # the ray towards which it goes
+    prim: Tensor  # int32, the triangle where it is; -1: it has ended
+    instance: Tensor | None
+    beyond: Tensor  # int32, the triangle behind
+
+
+@stage("geometry", "continues")
+def side_between(geometry: Geometry, continues: Tensor, ray: Ray, other_ray: Ray, one: Hit,
+                 other: Hit) -> tuple[SeenSide, NearerTriangle]:
+    """The nearest side of the two triangles that neighbouring rays hit, and which of these is nearer."""
     first_hides, sides = (one.prim >= 0) & ((other.prim < 0) | (one.t <= other.t)), []
     for hit, beyond, nearer in ((one, other, first_hides), (other, one, ~first_hides)):
         sides += [side._replace(near=side.near & (nearer | side.hides))
-                  for side in _sides_of(geometry, continues, rays, hit.prim, hit.instance, beyond.prim)]
-    seen = nearest_of(sides)
-    left = (~seen.between).nonzero().squeeze(1)
-    if len(left):
-        one, other, passing, begun, first_hides = rows((one, other, rays, seen, first_hides), left)
-        prim, beyond = torch.where(first_hides, one.prim, other.prim), torch.where(first_hides, other.prim, one.prim)
-        instance = None if one.instance is None else torch.where(first_hides, one.instance, other.instance)
-        misses = Ray(*(where(first_hides, *parts) for parts in zip(passing[1], passing[0])))
-        for _ in range(WALK):
-            around = _sides_of(geometry, continues, passing, prim, instance, beyond)
-            begun = nearest_of([begun, *around])
-            away = torch.stack([torch.where(own.beside >= 0, distance_to_side(misses, *_ends_of(geometry, own.side))[0],
-                                            torch.inf) for own in around])
-            beside = torch.stack([own.beside for own in around]).gather(0, away.argmin(0)[None])[0]
-            prim = torch.where(begun.between, -1, beside)
-            if not (prim >= 0).any():
-                break
-        put_rows(seen, left.int(), begun)
-    return seen.side, seen.near
+                  for side in _sides_of(geometry, continues, [ray, other_ray], hit.prim, hit.instance, beyond.prim)]
+    prim, beyond = torch.where(first_hides, one.prim, other.prim), torch.where(first_hides, other.prim, one.prim)
+    instance = None if one.instance is None else torch.where(first_hides, one.instance, other.instance)
+    misses = Ray(*(where(first_hides, *parts) for parts in zip(other_ray, ray)))
+    return nearest_of(sides), NearerTriangle(misses, prim, instance, beyond)
+
+
+@stage("geometry", "continues")
+def walked(geometry: Geometry, continues: Tensor, walk: SideWalk) -> SideWalk:
+    """One step of a walk: across the side that is nearest to the ray, if the surface goes on there."""
+    around = _sides_of(geometry, continues, [walk.one, walk.other], walk.prim, walk.instance, walk.beyond)
+    best, beside = nearest_of([walk.best, *around]), torch.full_like(walk.prim, -1)
+    nearest = torch.full_like(walk.best.off, torch.inf)
+    for side in around:
+        away = torch.where(side.beside >= 0, distance_to_side(walk.misses, *_ends_of(geometry, side.side))[0], torch.inf)
+        beside, nearest = torch.where(away < nearest, side.beside, beside), torch.minimum(away, nearest)
+    return walk._replace(best=best, prim=torch.where(best.between, -1, beside))
 
 
 def _sides_of(geometry: Geometry, continues: Tensor, rays: list[Ray], prim: Tensor, instance: Tensor | None,

@@ -10,24 +10,24 @@ for parts of a `team.Job` until none is left, and may run on several threads at 
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torch_radbp.jit.cpu import cpu_order, cpu_patches, cpu_runs, cpu_scatter
-from torch_radbp.jit.cpu.machine import MachineCode, host, host_features, host_width, object_code
+from torch_radbp.jit.cpu.kernel_code import CpuLoop, KernelCode
+from torch_radbp.jit.cpu.machine import host, host_features, host_width
 from torch_radbp.jit.cpu.prefetch import DECLARATION, prefetches
 from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.lane.emit import Body, emit
+from torch_radbp.jit.lane.fused import fuses
 from torch_radbp.jit.lane.graph import LANES, Program
 from torch_radbp.jit.lane.instructions import alignment
 from torch_radbp.jit.lane.loops import TAKE_PARTS, few_lanes
 from torch_radbp.jit.lane.window import window_of
 from torch_radbp.jit.recording.recording import Recording
-from torch_radbp.threads.team import run_lanes
 
 COPIES, SMALL = 4, 1 << 12  # copies of the totals of `jit/scatter.py`, for tables with at most so many entries
 
@@ -48,7 +48,7 @@ class Cpu:
     def text(self, program: Program) -> str:
         """The LLVM IR of a program."""
         width = self.width or host_width() * vectors(program)
-        return loop_module(emit(program, width, window_of(host_features())), width)
+        return loop_module(emit(program, width, window_of(host_features()), fuses(host_features())), width)
 
     @property
     def platform(self) -> str:
@@ -56,16 +56,16 @@ class Cpu:
         return f"{host()}, {self.width or host_width()} lanes"
 
     def code(self, program: Program) -> bytes:
-        """The machine code of a program; see `Target`."""
-        return object_code(self.text(program))
+        """The machine code of a program, made quickly for a small rendering; see `Target`."""
+        return KernelCode.first(self.text(program)).packed()
 
-    def loop(self, code: bytes, searched: Sequence[int] = ()) -> CpuLoop:
+    def loop(self, code: bytes, searched: Sequence[int] = (), keep: Callable[[bytes], None] | None = None) -> CpuLoop:
         """Loads machine code as a loop; see `Target`."""
-        return CpuLoop(code)
+        return CpuLoop(code, keep)
 
     def compile(self, program: Program) -> CpuLoop:
-        """Compiles and loads a program; see `Target`."""
-        return self.loop(self.code(program))
+        """Compiles a program well, and loads it; see `Target`."""
+        return self.loop(KernelCode.made(self.text(program), well=True).packed())
 
     def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded:
         """See `Target`."""
@@ -83,26 +83,6 @@ class Cpu:
     def copies(self, entries: int) -> int:
         """Several copies of a small table's sums, one copy of a large table's; see `Target`."""
         return COPIES if entries <= SMALL else 1
-
-
-class CpuLoop:
-    """A program as machine code of the CPU; see `target.Loop`.
-
-    Args:
-        code: from `machine.object_code`.
-    """
-
-    def __init__(self, code: bytes):
-        self.code = MachineCode(code)
-
-    @property
-    def address(self) -> int:
-        """The address of the loop's body; see `team.LaneLoop`."""
-        return self.code.address
-
-    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
-        """Runs the loop over all lanes, and waits for it."""
-        run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
 
 
 def loop_module(body: Body, width: int) -> str:

@@ -9,8 +9,8 @@ demand: what may lie anywhere they read byte by byte.
 What is computed from numbers alone stands before the loop. No processor gathers bytes: of a table of bools the aligned words
 are read that the entries lie in. Nor does one divide vectors of integers: int32 are divided as float64, which is exact.
 
-Nearly every operation is one line of a table of `instructions.py`. Of the liberties that compilers take with floating point
-only the fusing of a product and a sum is allowed: infinities, NaN and signs of zeros are as in torch.
+Nearly every operation is one line of a table of `instructions.py`. Compilers may take no liberties with floating point:
+infinities, NaN and signs of zeros are as in torch, and which products are fused with sums is said by `fused.py`.
 
 Reference: LLVM Language Reference Manual.
 """
@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import torch
 
+from torch_radbp.jit.lane.fused import FusedSum, fused_sums
 from torch_radbp.jit.lane.graph import LANES, NUMBER, TABLE, Program, Value
 from torch_radbp.jit.lane.instructions import (
     BOOLEAN,
@@ -55,10 +56,18 @@ class Body(NamedTuple):
 
 
 class ProgramText:
-    """Emits one program for blocks of `width` lanes; `window`: for table entries that may lie close together."""
+    """Emits one program for blocks of lanes.
 
-    def __init__(self, program: Program, width: int, window: TableWindow | None = None):
+    Args:
+        program: what is computed.
+        width: lanes of a block; 1: scalar.
+        window: for table entries that may lie close together.
+        fuses: products are fused with sums.
+    """
+
+    def __init__(self, program: Program, width: int, window: TableWindow | None = None, fuses: bool = True):
         self.program, self.width = program, width
+        self.sums, self.within = fused_sums(program) if fuses else ({}, set())
         self.window = window if window is not None and window.fits(width) else None
         self.near = at_one_index(program, self.window)  # gathers that are read together
         self.rows = in_rows(program, width)
@@ -77,7 +86,7 @@ class ProgramText:
             waiting.setdefault(value, []).append(number)
         for value in (few_alive if self.width == 1 else gathers_first)(self.program.values):
             self.here = self.entry if value.kind == NUMBER else self.body
-            if value in self.names:  # read together with another
+            if value in self.names or value in self.within:  # read, or computed, together with another
                 continue
             self.names[value] = self.emit(value)
             if self.width == 1 and value.kind == LANES:  # a thread has no register to spare for what is done
@@ -124,6 +133,8 @@ class ProgramText:
             return self.constant(value)
         if operation == "input":
             return self.load(value)
+        if value in self.sums:
+            return self.fused(self.sums[value], dtype)
         names = [self.names[argument] for argument in value.arguments]
         if operation == "gather":
             return self.read(value)
@@ -153,6 +164,16 @@ class ProgramText:
         if operation in LIBRARY and working == torch.float64:
             return self.lane_by_lane(operation, names)
         raise NotImplementedError(f"{value!r} has no instruction")
+
+    def fused(self, found: FusedSum, dtype: torch.dtype) -> str:
+        """Emits a sum of a product and a term, rounded once."""
+        kind = self.vector(SCALARS[dtype])
+        (first, second), term = (self.names[factor] for factor in found.product.arguments), self.names[found.term]
+        if found.negative_product:
+            first = self.line(f"fneg {kind} {first}")
+        if found.negative_term:
+            term = self.line(f"fneg {kind} {term}")
+        return self.call(f"llvm.fma.{self.suffix(SUFFIXES[dtype])}", dtype, [first, second, term])
 
     def call(self, function: str, dtype: torch.dtype, names: list[str], more: str = "") -> str:
         """Emits a call of an LLVM function of whole blocks of lanes."""
@@ -340,6 +361,6 @@ def gathers_first(values: Sequence[Value]) -> list[Value]:
         value for value in values if value not in needed]
 
 
-def emit(program: Program, width: int, window: TableWindow | None = None) -> Body:
-    """Emits the instructions of `program` for blocks of `width` lanes (1: scalar). `window`: as for `ProgramText`."""
-    return ProgramText(program, width, window).instructions()
+def emit(program: Program, width: int, window: TableWindow | None = None, fuses: bool = True) -> Body:
+    """Emits the instructions of `program`. Args as for `ProgramText`."""
+    return ProgramText(program, width, window, fuses).instructions()

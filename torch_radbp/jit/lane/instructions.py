@@ -16,8 +16,8 @@ SUFFIXES = {torch.float32: "f32", torch.float64: "f64", torch.int32: "i32", torc
 INTEGERS = (torch.bool, torch.int32, torch.int64)
 
 FLOATING = {
-    "neg": "fneg {T} {0}", "add": "fadd contract {T} {0}, {1}", "sub": "fsub contract {T} {0}, {1}",
-    "mul": "fmul contract {T} {0}, {1}", "div": "fdiv {T} {0}, {1}", "rem": "frem {T} {0}, {1}",
+    "neg": "fneg {T} {0}", "add": "fadd {T} {0}, {1}", "sub": "fsub {T} {0}, {1}",
+    "mul": "fmul {T} {0}, {1}", "div": "fdiv {T} {0}, {1}", "rem": "frem {T} {0}, {1}",
     "eq": "fcmp oeq {T} {0}, {1}", "ne": "fcmp une {T} {0}, {1}", "lt": "fcmp olt {T} {0}, {1}",
     "le": "fcmp ole {T} {0}, {1}", "gt": "fcmp ogt {T} {0}, {1}", "ge": "fcmp oge {T} {0}, {1}",
 }

@@ -52,7 +52,7 @@ class RepeatedText:
         turn = list(self.changing(values))
         later = set(turn)
         for value in values:
-            if value not in later and value not in emitter.names:
+            if value not in later and value not in emitter.names and value not in emitter.within:
                 emitter.here = emitter.entry
                 emitter.names[value] = emitter.emit(value)
         first = {value: emitter.names[value] for value in self.before}
@@ -60,7 +60,8 @@ class RepeatedText:
         emitter.here = emitter.body
         for value in turn:
             assert value.kind != NUMBER
-            emitter.names[value] = emitter.emit(value)
+            if value not in emitter.within:
+                emitter.names[value] = emitter.emit(value)
         phis = [f"{emitter.names[value]} = phi {emitter.vector(SCALARS[value.dtype])} [ {first[value]}, %lane ], "
                 f"[ {emitter.names[after]}, %turn ]" for value, after in self.before.items()]
         running = emitter.names[self.outputs[self.repetition.running]]

@@ -132,7 +132,7 @@ class Gpu(AnyDevice):
         """The LLVM IR of a program's kernel, as bytes."""
         return self.text(program).encode()
 
-    def loop(self, code: bytes, searched: Sequence[int]) -> KernelLoop:
+    def loop(self, code: bytes, searched: Sequence[int], keep: Callable[[bytes], None] | None = None) -> KernelLoop:
         """Loads a kernel as a loop."""
         return KernelLoop(LoadedKernel(self.launcher, code.decode(), "lanes"), searched)
 

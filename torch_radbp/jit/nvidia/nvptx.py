@@ -9,9 +9,9 @@ last, unless these pointers are null: then all `lanes` are meant. Threads beyond
 The instructions are those of `lane/emit.py` for single lanes, but for functions of float64 that the C library has elsewhere:
 `lane/lowered.py` writes them out.
 
-Products and sums are fused by LLVM alone, where it finds this worth while. All others are marked `.rn`, which forbids
-NVIDIA's assembler to fuse them: what a kernel computes is settled by its PTX, whatever the version of the driver. On a
-processor LLVM fuses others, so that last digits differ; were nothing fused in either, all bits would be the same.
+Which products are fused with sums is said by the program (`lane/fused.py`). Products and sums beside these are marked `.rn`,
+which forbids NVIDIA's assembler to fuse them: what a kernel computes is settled by its PTX, whatever the version of the
+driver, and has the bits of a processor that fuses, too.
 
 `tests/gpu` runs them on a card. Without one it is tested that NVIDIA's assembler takes them, that the same text computes the
 same on a processor, and that an interpreter of PTX finds the same in them.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -35,7 +35,7 @@ class AnyDevice:
     def code(self, program: Any) -> bytes:
         raise RuntimeError(self.reason)
 
-    def loop(self, code: bytes, searched: Sequence[int]):
+    def loop(self, code: bytes, searched: Sequence[int], keep: Callable[[bytes], None] | None = None):
         raise RuntimeError(self.reason)
 
     def compile(self, program: Any):

@@ -31,6 +31,9 @@ class LoopBody(Protocol):
     def address(self) -> int:
         """The address of the compiled body; see `team.LaneLoop`."""
 
+    def takes(self, lanes: int) -> bool:
+        """Counts lanes that it takes; False if it stays where it is."""
+
 
 class RecordedLoop(NamedTuple):
     """A recorded call of a compiled loop over lanes."""

@@ -1,0 +1,106 @@
+"""Machine code of a kernel: made quickly, and well where there is much for it to do.
+
+Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel that is first
+needed by a small rendering begins with such code, and once it has had so many lanes that better code pays, a helper makes
+that, and whoever runs the kernel next takes it; a larger rendering has only the better one. Both compute the same bits, for
+what LLVM might round otherwise is said by the program (`lane/fused.py`).
+"""
+
+from __future__ import annotations
+
+import pickle
+import zlib
+from array import array
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from torch_radbp.jit.cpu.machine import MachineCode, object_code
+from torch_radbp.threads.later import Later
+from torch_radbp.threads.team import run_lanes
+
+MANY = 1 << 16  # paths of a rendering that is not small
+LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
+ENOUGH = 1 << 25  # lanes, bounce by bounce, for which better code pays beside the first
+
+
+class KernelCode(NamedTuple):
+    """Machine code of a kernel, and what better code is made of."""
+
+    object: bytes  # an object file
+    text: bytes  # the LLVM IR, compressed; empty: it is made well
+
+    @staticmethod
+    def first(text: str) -> KernelCode:
+        """Compiles LLVM IR for the rendering that runs."""
+        return KernelCode.made(text, well=Ahead.are_many() or text.count("\n") > LONGEST)
+
+    @staticmethod
+    def made(text: str, well: bool) -> KernelCode:
+        """Compiles LLVM IR, well or quickly."""
+        return KernelCode(object_code(text, well), b"" if well else zlib.compress(text.encode(), 1))
+
+    def better(self) -> KernelCode:
+        """Compiles the same well."""
+        return self.made(zlib.decompress(self.text).decode(), well=True)
+
+    def packed(self) -> bytes:
+        return pickle.dumps(tuple(self))
+
+
+class Ahead:
+    """The paths of the rendering that runs; those of several threads are not told apart."""
+
+    paths = 0
+
+    @staticmethod
+    def are(paths: int) -> None:
+        """Says how many paths the rendering that begins has."""
+        Ahead.paths = paths
+
+    @staticmethod
+    def are_many() -> bool:
+        """True if it is not a small one."""
+        return Ahead.paths >= MANY
+
+
+class CpuLoop:
+    """Machine code as a loop; see `target.Loop`.
+
+    Args:
+        code: a packed `KernelCode`.
+        keep: writes better code into the cache; None: it is not kept.
+    """
+
+    def __init__(self, code: bytes, keep: Callable[[bytes], None] | None = None):
+        self.made, self.keep = KernelCode(*pickle.loads(code)), keep
+        self.loaded = [MachineCode(self.made.object)]  # the last is the best; those before may be running
+        self.may_improve = bool(self.made.text)
+        self.lanes = 0  # counted while it may
+        self.improving: Later[None] | None = None
+
+    @property
+    def address(self) -> int:
+        """The address of the loop's body; see `team.LaneLoop`."""
+        return self.loaded[-1].address
+
+    def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
+        """Runs the loop over all lanes, and waits for it."""
+        self.takes(lanes)
+        run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
+
+    def takes(self, lanes: int) -> bool:
+        """Counts lanes; False if the code is the best that there will be."""
+        if not self.may_improve:
+            return False
+        self.lanes += lanes
+        if self.improving is None and (self.lanes >= ENOUGH or Ahead.are_many()):
+            self.improving = Later(self.improve).meanwhile()
+        return True
+
+    def improve(self) -> None:
+        """Makes better code, for whoever asks for the address next."""
+        self.made = self.made.better()
+        self.loaded.append(MachineCode(self.made.object))
+        self.may_improve = False
+        if self.keep is not None:
+            self.keep(self.made.packed())
