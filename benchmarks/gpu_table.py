@@ -6,6 +6,7 @@ before each of which the parameters change a little. Beside the times:
 * first call: forward and backward pass at the first size, which compiles, with no kernels kept on disk by either;
 * equal noise: variance times seconds, of the image and of the gradients, each renderer with its own sampler;
 * kernels: the share of a forward pass in which the card computes, by torch's profiler;
+* graphs: the share of sequences of launches in a pass that one call of the driver starts, since they come again;
 * plan over peak: `Renderer.memory_plan` over the memory that torch has allocated in a pass at most.
 
 Every figure is saved when it is known, and what takes long comes last, so that a run that is cut off at `--seconds` has told
@@ -25,11 +26,13 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib import util
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 import torch
 
 from benchmarks.device_figures import peak_on_device
@@ -38,6 +41,8 @@ from benchmarks.peers import Mitsuba, Ours, Pass, change
 from benchmarks.scenes import QUICK, SCENES
 from benchmarks.scenes.description import BenchmarkScene, Setting, without_samplers
 from benchmarks.versus_mitsuba import z_score
+from torch_radbp.jit.nvidia.driver import Driver
+from torch_radbp.jit.nvidia.gpu import Gpu
 
 OURS, MITSUBA = "ours", "Mitsuba"
 SIZES = ((512, 64), (128, 4), (256, 1))  # pixels a side, samples a pixel
@@ -115,6 +120,7 @@ def of_size(scene: BenchmarkScene, device: str, rounds: int, first: bool) -> dic
     forward = statistics.median(each["forward"] for each in passes[OURS])
     return {"setting": scene.setting._asdict(), "passes": passes, "gradient_sums": sums, "first": begun if first else None,
             "kernels": kernels_share(ours, rounds, forward) if device == "cuda" else None,
+            "graphs": graphs_share(ours, rounds + 1) if device == "cuda" else None,
             "peak": peak_on_device(ours, device, rounds), "planned": ours.renderer.memory_plan().peak}
 
 
@@ -131,6 +137,21 @@ def kernels_share(peer: Ours, seed: int, seconds: float) -> float:
     spans = [(event.time_range.start, event.time_range.end) for event in profile.events()
              if event.device_type == torch.autograd.DeviceType.CUDA]
     return covered(spans) / 1e6 / seconds
+
+
+def graphs_share(peer: Ours, seed: int) -> float:
+    """The share of the sequences of launches in a pass that are started as graphs."""
+    started: Counter[str] = Counter()
+
+    def counted(owner: type, name: str) -> None:
+        start = getattr(owner, name)
+        patch.setattr(owner, name, lambda *given: started.update([name]) or start(*given))
+
+    with pytest.MonkeyPatch.context() as patch:
+        counted(Gpu, "launch_all")
+        counted(Driver, "play")
+        peer.run(seed)
+    return started["play"] / max(1, started["launch_all"])
 
 
 def covered(spans: Sequence[tuple[float, float]]) -> float:
@@ -221,15 +242,15 @@ def row(name: str, size: dict) -> str:
     cells = [name, f"{resolution} x {resolution}, {spp}", theirs,
              f"{median_of(size, OURS, 'forward'):.4f} + {median_of(size, OURS, 'backward'):.4f}",
              *("" if ratio is None else f"{ratio:.2f}" for ratio in ratios), first,
-             "" if size["kernels"] is None else f"{100 * size['kernels']:.0f} %",
+             *("" if size[what] is None else f"{100 * size[what]:.0f} %" for what in ("kernels", "graphs")),
              f"{size['peak'] / 2**20:.0f}", *("" if figure is None else f"{figure:{how}}" for figure, how in (
                  (plan_over_peak(size), ".2f"), (worst_z(size["gradient_sums"]), "+.1f")))]
     return f"| {' | '.join(cells)} |"
 
 
 HEADER = """| scene | pixels, spp | Mitsuba, s | ours, s | forward | backward | both | first call, s: Mitsuba's, ours \
-| kernels | peak, MiB | plan / peak | z of gradient |
-|---|---|---|---|---|---|---|---|---|---|---|---|"""
+| kernels | graphs | peak, MiB | plan / peak | z of gradient |
+|---|---|---|---|---|---|---|---|---|---|---|---|---|"""
 
 
 def summary(found: dict[str, list[dict]]) -> str:

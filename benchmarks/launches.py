@@ -7,7 +7,8 @@ CUDA, so that everything takes the way that it takes there. Counted are, forward
 * waits: where the host needs what the device has computed, and so waits until it has come there;
 * sent: what the host sends to the device, which takes a copy each;
 * torch: operations of torch that compute something, each of which takes a launch of its own;
-* Python: functions of lanes and of torch, and sequences of launches, that are started one by one from Python.
+* Python: functions of lanes and of torch, and sequences of launches, that are started one by one from Python;
+* driver: calls of CUDA's driver for these kernels, and those as they are where sequences that come again are graphs.
 
 What is counted of two depths tells what a bounce adds, and what a call takes beside its bounces. Before each call the
 parameters change a little, as in training. Calls that compile do not count. Paths do not end before their time, and
@@ -43,13 +44,14 @@ from tests.scenes import media, networks, smoke
 from tests.scenes.closed_box import closed_box
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.graphs import Graphs
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.raycast.warp import Warp
 from torch_radbp.tensors.torch_internals import TorchDispatchMode
 
 DEPTHS = (3, 5)
 SETTLING = 3  # calls until nothing is made that is kept for the next ones
-COUNTED = ("launches", "waits", "sent", "torch", "Python")
+COUNTED = ("launches", "waits", "sent", "torch", "Python", "driver", "by graphs")
 # Operations of torch that start no kernel: they make tensors, or say where one lies.
 STARTS_NONE = {"empty", "empty_like", "empty_strided", "new_empty", "new_empty_strided", "view", "_unsafe_view", "slice",
                "select", "narrow", "unbind", "split", "split_with_sizes", "as_strided", "expand", "permute", "transpose",
@@ -85,21 +87,22 @@ class Card:
         self.gpu = Gpu(Emulated())
         self.rays = self.functions = 0
 
-    def started(self) -> tuple[int, int, int, int]:
-        """The kernels, sequences of them, Warp's kernels and functions of lanes that were started so far."""
-        return len(self.gpu.launcher.launches), self.gpu.launcher.sequences, self.rays, self.functions
+    def started(self) -> tuple[int, int, int, int, int]:
+        """The kernels, sequences of them, calls of the driver, Warp's kernels and functions of lanes that were started."""
+        launcher = self.gpu.launcher
+        return len(launcher.launches), launcher.sequences, launcher.calls, self.rays, self.functions
 
     def counted(self, run: Callable[[], object]) -> Counter:
         """What the host does while something runs."""
         before = self.started()
         with Operations() as operations:
             found = exchanges(run)
-        kernels, sequences, rays, functions = (after - first for after, first in zip(self.started(), before))
+        kernels, sequences, calls, rays, functions = (after - first for after, first in zip(self.started(), before))
         waits, sent = (sum(count for (way, _), count in found.items() if way == direction)
                        for direction in ("to the host", "from the host"))
         computed = sum(operations.found.values())
         return Counter({"launches": kernels + rays, "waits": waits, "sent": sent, "torch": computed,
-                        "Python": sequences + functions + computed})
+                        "Python": sequences + functions + computed, "driver": calls})
 
 
 @contextmanager
@@ -117,8 +120,8 @@ def card() -> Iterator[Card]:
         return prepared(self, arguments)
 
     with pytest.MonkeyPatch.context() as patch:
-        render_on(made.gpu, patch, taped=True)
         patch.setattr(Warp, "_start", started)
+        render_on(made.gpu, patch, taped=True)
         for module in (wp, import_module("warp._src.torch")):  # whatever tensors say
             patch.setattr(module, "device_from_torch", lambda device: wp.get_device("cpu"))
         patch.setattr(Warp, "_stream", lambda self: None)
@@ -160,6 +163,10 @@ def passes(device: Card, renderer: rb.Renderer, parameters: Sequence[str]) -> Pa
     for seed in range(SETTLING):
         changed(seed)
         found = both(device.counted)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Graphs, "of", lambda self, given, make: make())  # as if all words had come before
+        for counted, by_graphs in zip(found, both(device.counted)):
+            counted["by graphs"] = by_graphs["driver"]
     return found
 
 

@@ -105,6 +105,18 @@ def test_a_call_needs_what_is_predicted(name, settings):
     assert needed < predicted < MOST * needed, (needed, predicted)
 
 
+@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(8), rb.ReplayAdjoint()], ids=repr)
+def test_compiled_bounces_that_are_replayed_keep_hits_and_no_states(adjoint):
+    """As much as a strategy says, whose plan is nearly that; though bounces of which hits are kept make the states, too."""
+    def of(strategy: rb.AdjointStrategy) -> tuple[int, int]:
+        renderer = prepared("colours of a diffuse room", adjoint=strategy, compile=True, share_samples=True, max_depth=32,
+                            chunk=1152)
+        return allocated(renderer), renderer.memory_plan().peak
+
+    (all_kept, _), (needed, planned) = of(rb.MemoizedAdjoint()), of(adjoint)
+    assert needed < 0.7 * all_kept and needed < planned < 1.5 * needed
+
+
 @pytest.mark.parametrize("name", ["a bitmap beside glass and metal", "vertices in a diffuse room"])
 def test_a_call_stays_within_its_budget(name):
     free = prepared(name).memory_plan().peak

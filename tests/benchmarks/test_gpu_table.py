@@ -1,11 +1,14 @@
 """The table of a card: its arithmetic, and that it runs from end to end, here on the CPU."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 
 from benchmarks import gpu_table
-from benchmarks.gpu_table import HEADER, MITSUBA, OURS, bounds_of, covered, main, row, summary
+from benchmarks.gpu_table import HEADER, MITSUBA, OURS, bounds_of, covered, graphs_share, main, row, summary
+from torch_radbp.jit.nvidia.driver import Driver
+from torch_radbp.jit.nvidia.gpu import Gpu
 
 
 def size(resolution: int, spp: int, ours: float, theirs: float, first: bool = False) -> dict:
@@ -13,8 +16,9 @@ def size(resolution: int, spp: int, ours: float, theirs: float, first: bool = Fa
     passes = {name: [{"forward": each * seconds, "backward": 3 * each * seconds, "cpu": 1.0} for each in (1, 9, 2, 1, 2)]
               for name, seconds in ((OURS, ours), (MITSUBA, theirs))}
     return {"setting": {"resolution": resolution, "spp": spp, "max_depth": 4}, "passes": passes,
-            "first": {name: own[0] for name, own in passes.items()} if first else None, "kernels": 0.9, "peak": 100 << 20,
-            "planned": 130 << 20, "gradient_sums": {OURS: [{"a": 3.0}, {"a": 5.0}], MITSUBA: [{"a": 0.0}, {"a": 2.0}]}}
+            "first": {name: own[0] for name, own in passes.items()} if first else None, "kernels": 0.9, "graphs": 0.5,
+            "peak": 100 << 20, "planned": 130 << 20,
+            "gradient_sums": {OURS: [{"a": 3.0}, {"a": 5.0}], MITSUBA: [{"a": 0.0}, {"a": 2.0}]}}
 
 
 def noise(image: float, *gradients: float) -> dict:
@@ -39,12 +43,19 @@ def test_figures_stand_beside_their_bounds():
 def test_a_row_has_a_cell_for_each_head():
     cells = [cell.strip() for cell in row("box", size(512, 64, 0.1, 0.2, first=True)).strip("|").split("|")]
     assert cells == ["box", "512 x 512, 64", "0.4000 + 1.2000", "0.2000 + 0.6000", "0.50", "0.50", "0.50", "0.8, 0.4",
-                     "90 %", "100", "1.30", "+2.1"]
+                     "90 %", "50 %", "100", "1.30", "+2.1"]
     assert len(cells) == len(HEADER.splitlines()[0].strip("|").split("|"))
 
 
 def test_kernels_beside_each_other_count_once():
     assert covered([(5.0, 6.0), (0.0, 2.0), (1.0, 4.0), (1.5, 3.0)]) == 5.0 and covered([]) == 0.0
+
+
+def test_graphs_are_counted_among_sequences(monkeypatch):
+    monkeypatch.setattr(Gpu, "launch_all", lambda *given: None)
+    monkeypatch.setattr(Driver, "play", lambda *given: None)
+    peer = SimpleNamespace(run=lambda seed: [Gpu.launch_all(None) for _ in range(4)] + [Driver.play(None, None)])
+    assert graphs_share(peer, 0) == 0.25 and graphs_share(SimpleNamespace(run=lambda seed: None), 0) == 0.0
 
 
 def test_it_runs_from_end_to_end_and_saves_what_it_finds(tmp_path, capsys, monkeypatch):

@@ -17,6 +17,9 @@ def test_between_bounces_the_host_waits_for_nothing_and_makes_one_call(name):
         assert {what: found.of_bounce[what] for what in ("waits", "sent", "torch", "Python")} == {
             "waits": 0, "sent": 0, "torch": 0, "Python": 1}
         assert found.of_bounce["launches"] >= 5 and found.of_call["sent"] == 0
+        # The context comes and goes, and it is asked whether the caller captures; by a graph all kernels are one call.
+        assert found.of_bounce["driver"] == found.of_bounce["launches"] + 3 and found.of_bounce["by graphs"] == 4
+        assert found.of_call["by graphs"] <= 20
     assert forward.of_call["waits"] == WAITS.get(name, 1)  # none of which is as often as there are parameters
     assert backward.of_call["waits"] == 1  # whether the gradients are finite
 

@@ -15,6 +15,8 @@ from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp import raycast
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.lane.elementary_double import FORMULAS
+from torch_radbp.jit.nvidia.driver import Driver
+from torch_radbp.jit.nvidia.graphs import Graphs
 from torch_radbp.jit.order import chosen, partition, put
 from torch_radbp.jit.recording.structure import with_other_leaves
 from torch_radbp.jit.scatter import Sums, copies, scatter_add
@@ -127,6 +129,32 @@ def test_bounces_that_are_recorded_bring_what_single_calls_do(monkeypatch):
     assert expected.std() > 0 and torch.equal(image, expected)
     for name, gradient, wanted in zip(names, found, gradients):
         assert relative_error(gradient, wanted) < 1e-6, name
+
+
+def test_bounces_that_are_graphs_bring_what_launches_do(monkeypatch):
+    """The image has the same bits, gradients are sums in another order. Each sequence is a graph, as if it came again."""
+    names, settings = CASES["cornell"].parameters, {"spp": 16, "max_depth": 5, "rr_depth": 3, "caster": "warp"}
+    expected, gradients = image_and_gradients(cornell(torch.float32, 32), names, "cuda", **settings)
+    played, play = [], Driver.play
+    monkeypatch.setattr(Driver, "play", lambda self, graph: played.append(graph) or play(self, graph))
+    monkeypatch.setattr(Graphs, "of", lambda self, given, make: make())
+    image, found = image_and_gradients(cornell(torch.float32, 32), names, "cuda", **settings)
+    assert len(played) >= 2 * settings["max_depth"] and torch.equal(image, expected)
+    for name, gradient, wanted in zip(names, found, gradients):
+        assert relative_error(gradient, wanted) < 1e-6, name
+
+
+def test_steps_of_training_come_to_be_graphs(monkeypatch):
+    """As torch's allocator hands out the same memory after some steps; images are those of other streams, without any."""
+    played, play = [], Driver.play
+    monkeypatch.setattr(Driver, "play", lambda self, graph: played.append(graph) or play(self, graph))
+    renderer = rb.Renderer(cornell(torch.float32, 32).to("cuda"), spp=16, max_depth=5, caster="warp")
+    with torch.no_grad():
+        images = [renderer(seed=seed % 2) for seed in range(40)]
+        with torch.cuda.stream(torch.cuda.Stream()):
+            others = [renderer(seed=seed) for seed in range(2)]
+        torch.cuda.synchronize()
+    assert played and all(torch.equal(image, others[number % 2]) for number, image in enumerate(images))
 
 
 def test_the_host_waits_for_nothing_between_bounces():

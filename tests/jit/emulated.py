@@ -8,8 +8,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import re
+import threading
 from array import array
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 from torch_radbp.jit.cpu.machine import MachineCode, object_code
@@ -69,15 +71,23 @@ class Emulated:
     Args:
         assemble: also makes PTX of each kernel, as for a GPU.
         backwards: the last thread comes first; a GPU's come in any order.
+        makes_graphs: of sequences of launches that come again.
     """
 
     architecture = "sm_90"
 
-    def __init__(self, assemble: bool = False, backwards: bool = False):
-        self.assemble, self.backwards = assemble, backwards
+    def __init__(self, assemble: bool = False, backwards: bool = False, makes_graphs: bool = True):
+        self.assemble, self.backwards, self.makes_graphs = assemble, backwards, makes_graphs
         self.ptx: list[str] = []
         self.launches: list[Launch] = []
-        self.sequences = 0  # of several launches
+        self.sequences = self.replays = 0  # of several launches; those that are started as graphs
+        self.calls = 0  # of the driver, apart from those that load kernels or make graphs
+        self.of_thread = threading.local()
+
+    @property
+    def graph(self) -> list[Callable[[], None]] | None:
+        """What is being captured in this thread; None: nothing, what is launched runs."""
+        return getattr(self.of_thread, "graph", None)
 
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
@@ -87,17 +97,59 @@ class Emulated:
     @contextlib.contextmanager
     def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:
         self.sequences += 1
+        self.calls += 2  # the context comes and goes
 
         def launch(kernel: Any, blocks: int, threads: int, address: int, count: int) -> None:
-            self.launch(kernel, blocks, threads, array("q", ctypes.string_at(address, 8 * count)))
+            self.start(kernel, blocks, threads, array("q", ctypes.string_at(address, 8 * count)))
 
         yield launch
 
     def launch(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        self.calls += 2
+        self.start(kernel, blocks, threads, parameters)
+
+    def start(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
+        """Runs a kernel, or captures it."""
+        self.started(partial(self.run, kernel, blocks, threads, parameters))
+
+    def started(self, run: Callable[[], None]) -> None:
+        """Runs what a call of the driver starts, or captures it; of other libraries, too."""
+        if self.graph is not None:
+            self.graph.append(run)
+            return
+        self.calls += 1
+        run()
+
+    def run(self, kernel: Any, blocks: int, threads: int, parameters: array) -> None:
         name, code = kernel
         self.launches.append(Launch(name, blocks, threads, parameters.tolist()))
         words = ctypes.c_void_p(parameters.buffer_info()[0])
         ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, ctypes.c_void_p)(code.address)(blocks, threads, words)
+
+    def stream(self) -> int:
+        return 0
+
+    def is_captured(self) -> bool:
+        self.calls += 1
+        return False
+
+    def captured(self, start: Callable[[Callable], None]) -> list[Callable[[], None]] | None:
+        if not self.makes_graphs:
+            return None
+        self.of_thread.graph = []
+        try:
+            start(lambda kernel, blocks, threads, address, count: self.start(
+                kernel, blocks, threads, array("q", ctypes.string_at(address, 8 * count))))
+            return self.graph
+        finally:
+            self.of_thread.graph = None
+
+    def play(self, graph: list[Callable[[], None]]) -> None:
+        self.sequences += 1
+        self.replays += 1
+        self.calls += 3  # with the context
+        for run in graph:
+            run()
 
 
 def emulated() -> Gpu:

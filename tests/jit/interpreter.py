@@ -21,7 +21,8 @@ import shutil
 import threading
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -39,6 +40,7 @@ from torch_radbp.threads.made_once import made_once
 
 BESIDE = Path(__file__).parents[3] / "shared" / "tools" / "ptx"
 MODULE = Path(os.environ.get("RADBP_PTX_INTERPRETER") or BESIDE, "ptxrun.py")
+ASIDE = 5  # the stream that graphs are captured on
 
 needs_interpreter = pytest.mark.skipif(
     not MODULE.is_file() or shutil.which("cc") is None,
@@ -84,15 +86,18 @@ class StandInDriver:
     Attributes:
         launches: names of the kernels, with how often each was launched.
         texts: PTX of all modules.
+        replays: how many graphs were launched.
     """
 
     CUresult = SimpleNamespace(CUDA_SUCCESS=0)
+    CUstreamCaptureMode = SimpleNamespace(CU_STREAM_CAPTURE_MODE_RELAXED="relaxed")
     CUjitInputType = SimpleNamespace(CU_JIT_INPUT_PTX="ptx")
     CUjit_option = SimpleNamespace(CU_JIT_ERROR_LOG_BUFFER="log", CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES="size")
 
     def __init__(self) -> None:
         self.launches: Counter[str] = Counter()
         self.texts: list[str] = []
+        self.replays = 0
         self.one = threading.Lock()  # kernels run one after another
         self.of_thread = threading.local()
 
@@ -100,6 +105,11 @@ class StandInDriver:
     def contexts(self) -> list:
         """Those that are current in this thread, the last on top."""
         return self.of_thread.__dict__.setdefault("contexts", [])
+
+    @property
+    def captures(self) -> dict[int, list[Callable[[], None]]]:
+        """What this thread has started on streams that it captures."""
+        return self.of_thread.__dict__.setdefault("captures", {})
 
     def cuDeviceGet(self, number: int) -> tuple:
         return 0, number
@@ -137,16 +147,60 @@ class StandInDriver:
         assert module.name.encode() == name
         return 0, module
 
+    def cuStreamCreate(self, flags: int) -> tuple:
+        assert flags == 1  # else the usual stream could not be used meanwhile
+        return 0, ASIDE
+
+    def cuStreamIsCapturing(self, stream: int) -> tuple:
+        return 0, int(stream in self.captures)
+
+    def cuStreamBeginCapture(self, stream: int, mode: str) -> tuple:
+        assert self.contexts and stream and stream not in self.captures and mode == "relaxed"
+        self.captures[stream] = []
+        return 0,
+
+    def cuStreamEndCapture(self, stream: int) -> tuple:
+        return 0, self.captures.pop(stream)
+
+    def cuGraphInstantiate(self, graph: list, flags: int) -> tuple:
+        return 0, tuple(graph)
+
+    def cuGraphDestroy(self, graph: list) -> tuple:
+        graph.clear()
+        return 0,
+
+    def cuGraphExecDestroy(self, graph: tuple) -> tuple:
+        return 0,
+
+    def cuGraphLaunch(self, graph: tuple, stream: int) -> tuple:
+        assert self.contexts and stream not in self.captures
+        self.replays += 1
+        for run in graph:
+            run()
+        return 0,
+
+    def started(self, run: Callable[[], None]) -> None:
+        """Runs what is started on the stream that is current, or captures it."""
+        if ASIDE in self.captures:
+            self.captures[ASIDE].append(run)
+        else:
+            run()
+
     def cuLaunchKernel(self, kernel: Any, *given) -> tuple:
         blocks, one, flat, threads, *rest, extra = given
         assert self.contexts and (one, flat, *rest[:3], rest[-1]) == (1, 1, 1, 1, 0, 0)
+        assert (rest[3] == ASIDE) == bool(self.captures)
         words = (ctypes.c_void_p * 5).from_address(extra)
         assert (words[0], words[2], words[4] or 0) == (BUFFER, SIZE, END)
         parameters = array("q", ctypes.string_at(words[1], ctypes.c_size_t.from_address(words[3]).value))
+        self.started(partial(self.run, kernel, blocks, threads, ALLOWED.words(parameters)))
+        return 0,
+
+    def run(self, kernel: Any, blocks: int, threads: int, words: list) -> None:
+        """Runs a kernel."""
         with self.one:
             self.launches[kernel.name] += 1
-            kernel.launch(blocks, threads, ALLOWED.words(parameters))
-        return 0,
+            kernel.launch(blocks, threads, words)
 
 
 class CheckedLoop:
@@ -201,4 +255,6 @@ class CheckedGpu(Gpu):
 
 def interpreted(architecture: str = "sm_90") -> CheckedGpu:
     """A GPU in name, whose tensors lie on the processor and whose PTX is interpreted."""
-    return CheckedGpu(Driver(StandInDriver(), architecture, torch.device("cuda", 0), stream=lambda: 0))
+    driver = StandInDriver()
+    return CheckedGpu(Driver(driver, architecture, torch.device("cuda", 0), lambda: next(iter(driver.captures), 0),
+                             lambda stream: contextlib.nullcontext()))

@@ -4,6 +4,7 @@ import ctypes
 import re
 import sys
 from array import array
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
@@ -26,7 +27,10 @@ class NotingDriver:
     CUresult = SimpleNamespace(CUDA_SUCCESS=GOOD)
     CUjitInputType = SimpleNamespace(CU_JIT_INPUT_PTX="ptx")
     CUjit_option = SimpleNamespace(CU_JIT_ERROR_LOG_BUFFER="log", CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES="size")
-    answers = {"cuDeviceGet": ("device",), "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
+    CUstreamCaptureMode = SimpleNamespace(CU_STREAM_CAPTURE_MODE_RELAXED="relaxed")
+    answers = {"cuStreamIsCapturing": (0,), "cuStreamCreate": (5,), "cuStreamEndCapture": ("noted",),
+               "cuGraphInstantiate": ("graph",), "cuDeviceGet": ("device",),
+               "cuDevicePrimaryCtxRetain": ("context",), "cuModuleLoadData": ("module",),
                "cuModuleGetFunction": ("kernel",), "cuLinkCreate": ("link",), "cuCtxPopCurrent": ("context",)}
 
     def __init__(self, failing: str = ""):
@@ -72,7 +76,17 @@ def folder(tmp_path, monkeypatch):
 
 
 def driver(failing: str = "") -> Driver:
-    return Driver(NotingDriver(failing), "sm_90", DEVICE, stream=lambda: 77)
+    streams = [77]
+
+    @contextmanager
+    def on(stream: int):
+        streams.append(stream)
+        try:
+            yield
+        finally:
+            streams.pop()
+
+    return Driver(NotingDriver(failing), "sm_90", DEVICE, lambda: streams[-1], on)
 
 
 def test_the_device_is_the_one_of_the_tensors():
@@ -115,6 +129,45 @@ def test_ptx_is_assembled_once_and_machine_code_loaded_ever_after(folder):
     assert first.driver.of("cuLinkDestroy") == [("link",)] and not second.driver.of("cuLinkAddData")
     assert first.driver.of("cuModuleLoadData") == second.driver.of("cuModuleLoadData") == [(b"machine code",)]
     assert len(list(folder.rglob("*.code"))) == 1
+
+
+def two_kernels(launch) -> None:
+    for kernel in ("first", "second"):
+        launch(kernel, 2, 128, array("q", [1, 2]).buffer_info()[0], 0)
+
+
+def test_a_graph_is_captured_aside_and_started_by_one_call_on_the_current_stream():
+    launcher = driver()
+    graphs = [launcher.captured(two_kernels) for _ in range(2)]
+    calls = launcher.driver.calls
+    assert launcher.driver.of("cuStreamCreate") == [(1,)]  # one that blocks no other, for all graphs
+    first = next(number for number, call in enumerate(calls) if call[0] == "cuStreamBeginCapture")
+    assert [call[:2] for call in calls[first:] if call[0] not in ("cuCtxPushCurrent", "cuCtxPopCurrent")][:6] == [
+        ("cuStreamBeginCapture", 5), ("cuLaunchKernel", "first"), ("cuLaunchKernel", "second"), ("cuStreamEndCapture", 5),
+        ("cuGraphInstantiate", "noted"), ("cuGraphDestroy", "noted")]
+    assert {launch[8] for launch in launcher.driver.of("cuLaunchKernel")} == {5}
+    before = len(calls)
+    launcher.play(graphs[0])
+    assert calls[before:] == [
+        ("cuCtxPushCurrent", "context"), ("cuGraphLaunch", "graph", 77), ("cuCtxPopCurrent",)]
+    del graphs
+    assert launcher.driver.of("cuGraphExecDestroy") == [("graph",)] * 2
+
+
+@pytest.mark.parametrize("failing", ["cuStreamCreate", "cuStreamBeginCapture", "cuLaunchKernel", "cuStreamEndCapture",
+                                     "cuGraphInstantiate"])
+def test_where_the_driver_makes_no_graph_there_is_none_and_no_capture_is_left(failing):
+    launcher = driver(failing)
+    assert launcher.captured(two_kernels) is None and launcher.stream() == 77
+    assert len(launcher.driver.of("cuStreamEndCapture")) == (failing not in ("cuStreamCreate", "cuStreamBeginCapture"))
+    assert len(launcher.driver.of("cuGraphDestroy")) == (failing == "cuGraphInstantiate")
+    assert launcher.driver.calls[-1][0] == "cuCtxPopCurrent"
+
+
+def test_what_the_caller_captures_is_known(monkeypatch):
+    assert not driver().is_captured()
+    monkeypatch.setattr(NotingDriver, "answers", NotingDriver.answers | {"cuStreamIsCapturing": (1,)})
+    assert driver().is_captured()
 
 
 def test_an_error_of_the_driver_names_the_function_the_device_and_what_went_wrong():

@@ -141,6 +141,50 @@ def test_numbers_of_chosen_lanes_are_added_to_totals(backwards, monkeypatch):
     assert touched.all() and expected[:QUEUES].all()
 
 
+def replays(gpu: Gpu) -> int:
+    """The sequences that were started as graphs so far."""
+    return getattr(gpu.launcher, "driver", gpu.launcher).replays
+
+
+def test_launches_that_come_again_are_started_as_one_graph(gpu, monkeypatch):
+    """By what lies in their memory then; and as launches as soon as any of it lies elsewhere."""
+    (number, x), targets, of, found = numbers(1000), torch.zeros(1000), Functions(gpu), []
+
+    def play() -> list[Tensor]:
+        played = Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 1000, waits=False)
+        return [each.clone() for each in flat(played.results)]
+
+    for turn in range(4):
+        number.copy_((number + 1) % QUEUES)
+        x.copy_(x.flip(0))
+        targets.zero_()
+        found.append((number.clone(), x.clone(), targets, play(), targets.clone()))
+        assert replays(gpu) == max(0, turn)
+    held = [Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 1000, waits=False)
+            for _ in range(2)]
+    assert replays(gpu) == 4 and held  # the second one lies elsewhere
+    targets = torch.zeros(1000)
+    play()
+    assert replays(gpu) == 4
+    monkeypatch.undo()
+    for number, x, _, results, mine in found:
+        other = torch.zeros(1000)
+        expected = sorted_by(Functions(), number, x, other)
+        assert torch.equal(mine, other)
+        for each, wanted in zip(results, flat(expected.results)):
+            assert torch.equal(each[:len(wanted)], wanted)
+
+
+def test_a_caller_who_captures_launches_gets_launches(gpu, monkeypatch):
+    """Such as `torch.cuda.graph`: a graph inside of a graph is not what it asked for."""
+    (number, x), of = numbers(100), Functions(gpu)
+    monkeypatch.setattr(gpu.launcher, "is_captured", lambda: True)
+    targets = torch.zeros(100)
+    for _ in range(3):
+        Tape(()).play(("sorted",), lambda *given: sorted_by(of, *given), (number, x, targets), 100, waits=False)
+    assert replays(gpu) == 0
+
+
 def test_what_is_done_outside_is_done_between_launches(gpu):
     of, tape = Functions(gpu), Tape((), contexts=(None,))
 

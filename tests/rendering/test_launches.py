@@ -25,6 +25,7 @@ from tests.scenes.networks import lit_room, room
 from torch_radbp import raycast
 from torch_radbp.adjoint.function import RenderFunction
 from torch_radbp.jit.nvidia.gpu import Gpu
+from torch_radbp.jit.nvidia.graphs import Graphs
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.path.lane_room import ASKED, room_for
 
@@ -270,6 +271,25 @@ def test_places_where_images_jump_are_those_of_single_calls(term, scene, gpu, mo
 def test_paths_from_lamps_have_the_bits_of_single_calls(light_paths, material, gpu, monkeypatch):
     found = assert_same_bits(lambda: closed_box(material), gpu, monkeypatch, light_paths=light_paths)
     assert found > 3 * SMALL["max_depth"]  # of camera paths, and of those from lamps
+
+
+@pytest.mark.parametrize("name", deep_but(["two sides", "boundaries", "networks"], [*SCENES, *MEDIA, "networks"]))
+def test_graphs_have_the_bits_of_launches(name, gpu, monkeypatch):
+    """Of bounces, the rays among them. Here each sequence is made a graph, as if it had come before."""
+    def build() -> rb.Scene:
+        return (SCENES[name](torch.float32) if name in SCENES else room(dtype=torch.float32) if name == "networks"
+                else MEDIA[name][0]().to(torch.float32))
+
+    names = NETWORKS if name == "networks" else MEDIA[name][1].NAMES if name in MEDIA else None
+    expected, others = rendered(build(), names, **SMALL)
+    assert gpu.launcher.replays == 0 < gpu.launcher.sequences
+    before = gpu.launcher.sequences
+    monkeypatch.setattr(Graphs, "of", lambda self, given, make: make())
+    image, gradients = rendered(build(), names, **SMALL)
+    assert gpu.launcher.replays == gpu.launcher.sequences - before
+    assert expected.std() > 0 and torch.equal(image, expected) and gradients.keys() == others.keys()
+    for name, other in others.items():
+        assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
 
 
 def box(depth: int, adjoint: rb.MemoizedAdjoint) -> rb.Renderer:

@@ -51,6 +51,10 @@ class ExpandedCaster:
         """Casts a ray for each lane on a GPU, without waiting; see `jit.nvidia.launches.Caster`."""
         self.caster.launch(*arguments)
 
+    def given(self) -> bytes:
+        """See `jit.nvidia.launches.Caster`."""
+        return self.caster.given()
+
     def count(self, rays: int) -> None:
         """Counts rays that are cast."""
         self.caster.count(rays)

@@ -13,6 +13,7 @@ from collections.abc import Hashable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from itertools import repeat
+from struct import pack
 from threading import Lock
 from types import ModuleType
 
@@ -102,6 +103,7 @@ class Warp:
                                           known is not None and known.unmoved, self._stream())
             self._geometry = shown = kernels.shown_groups(groups, instances, self._unit)
             self.groups, self._head = shown.groups, shown.head()
+        self._given = b"".join(map(argument_bytes, [*self._head, self._unit, lanes_of(self._rays_counted)]))
         weakref.finalize(self, release, self._geometry, self._streams).atexit = False
 
     def intersect(self, ray: Ray) -> Hit:
@@ -139,6 +141,12 @@ class Warp:
         kinds = [argument.type.dtype for argument in kernel.adj.args[-len(addresses):]]
         self._start(kernel, lanes, self._memory(last, wp.int64, 1), list(map(self._memory, addresses, kinds, repeat(lanes))))
 
+    def given(self) -> bytes:
+        """See `jit.nvidia.launches.Caster`."""
+        if not self._device.is_cpu:
+            self._used()
+        return self._given
+
     def _memory(self, address: int, kind: type, entries: int):
         """Warp's descriptor of entries that lie at an address."""
         found = lanes_of(self._rays_counted)
@@ -165,12 +173,14 @@ class Warp:
 
     def _stream(self):
         """torch's current CUDA stream as Warp's object; None on the CPU."""
-        if self._device.is_cpu:
-            return None
+        return None if self._device.is_cpu else wp.stream_from_torch(self._used())
+
+    def _used(self) -> torch.cuda.Stream:
+        """torch's current CUDA stream, on which the triangles are read from now on, unless it is being captured."""
         current = torch.cuda.current_stream(self.vertices.device)
-        if current != torch.cuda.default_stream(self.vertices.device):
+        if current != torch.cuda.default_stream(self.vertices.device) and not torch.cuda.is_current_stream_capturing():
             self._streams.add(current)
-        return wp.stream_from_torch(current)
+        return current
 
     def __reduce__(self):
         return Warp, (self.vertices, self.faces, self.balls, None, self.instances)
@@ -212,6 +222,13 @@ def loaded(name: str, device: torch.device) -> ModuleType:
     with silent():
         wp.load_module(module.__name__, device=wp.device_from_torch(device))
     return module
+
+
+def argument_bytes(argument) -> bytes:
+    """What kernels are given of an argument: a number, or a vector or a description of memory by Warp."""
+    if isinstance(argument, (int, float)):
+        return pack("Q" if isinstance(argument, int) else "d", argument)
+    return memoryview(argument).tobytes()
 
 
 def release(geometry: object, streams: set[torch.cuda.Stream]) -> None:

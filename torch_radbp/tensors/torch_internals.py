@@ -20,7 +20,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_flatten, tree_map, tree_map_only
 
 __all__ = ["TorchDispatchMode", "at_end_of_backward", "backward_pass", "batched", "functions_of_torch_only",
-           "inside_dual_level", "operations_on_this_thread", "outside_transforms", "same_versions", "transforms",
+           "holders", "inside_dual_level", "operations_on_this_thread", "outside_transforms", "same_versions", "transforms",
            "tree_flatten", "tree_map", "tree_map_only", "unpacked_dual", "unwrapped", "without_compiler"]
 
 try:
@@ -101,6 +101,12 @@ def same_versions(tensors: Sequence[Tensor]) -> Iterator[None]:
     keep = getattr(torch.autograd, "_unsafe_preserve_version_counter", None)
     with nullcontext() if keep is None else keep(tuple(tensors)):
         yield
+
+
+def holders(storage: torch.UntypedStorage) -> int:
+    """How many hold a tensor's memory: 1 where that is `storage` alone; 0 if torch cannot tell."""
+    count = getattr(torch._C, "_storage_Use_Count", None)
+    return 0 if count is None else count(storage._cdata)
 
 
 def transforms() -> list[str]:

@@ -91,12 +91,17 @@ class Builder:
               static: Any = None) -> Value:
         """Makes a value, with a number for each lane unless all arguments are numbers or `kind` says otherwise."""
         if kind is None:
-            kind = NUMBER if all(argument.kind == NUMBER for argument in arguments) else LANES
+            kind = NUMBER
+            for argument in arguments:
+                if argument.kind != NUMBER:
+                    kind = LANES
+                    break
         assert len(arguments) == OPERATIONS[operation], (operation, arguments)
         key = (operation, arguments, dtype, kind, static if not isinstance(static, float) else (static.hex(), "float"))
-        if key not in self.values:
-            self.values[key] = Value(operation, arguments, dtype, kind, static, len(self.values))
-        return self.values[key]
+        value = self.values.get(key)
+        if value is None:
+            value = self.values[key] = Value(operation, arguments, dtype, kind, static, len(self.values))
+        return value
 
     def constant(self, number: bool | int | float, dtype: torch.dtype) -> Value:
         """Makes a constant, rounded to `dtype`."""

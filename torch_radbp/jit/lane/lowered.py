@@ -24,7 +24,11 @@ def _formula(operation: str) -> Program:
 
 
 def without_library(given: Program) -> Program:
-    """The program with C library functions replaced by formulas."""
+    """The program with C library functions replaced by formulas; inputs come first among its values."""
+    if not any([value.operation in FORMULAS for value in given.values]):
+        used = {argument for value in given.values for argument in value.arguments}.union(given.outputs)
+        return given._replace(values=(*[value for value in given.inputs if value in used],
+                                      *[value for value in given.values if value.operation != "input"]))
     builder = Builder()
     made = inlined(builder, given._replace(values=(*given.inputs, *given.values)), {})  # what no value needs among them
     lowered = program(tuple(None if value is None else made[value] for value in given.outputs))

@@ -131,7 +131,7 @@ class Tracer(TorchDispatchMode):
 
     def apply(self, operation: str, dtype: torch.dtype, *arguments) -> Value:
         """Adds an operation to the program, on arguments converted to `dtype`, and with a result of that dtype."""
-        return self.builder.value(operation, tuple(self.operand(argument, dtype) for argument in arguments), dtype)
+        return self.builder.value(operation, tuple([self.operand(argument, dtype) for argument in arguments]), dtype)
 
     def compare(self, operation: str, dtype: torch.dtype, a, b) -> Value:
         """Adds a comparison of arguments converted to `dtype` to the program."""

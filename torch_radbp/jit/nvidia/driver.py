@@ -12,8 +12,11 @@ import contextlib
 import ctypes
 import os
 import tempfile
+import weakref
 from array import array
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from threading import Lock
 from typing import Any
 
 import torch
@@ -26,6 +29,20 @@ from torch_radbp.threads.later import Later
 # CU_LAUNCH_PARAM_BUFFER_POINTER, _BUFFER_SIZE and _END: a launch hands over its parameters as one piece of memory.
 BUFFER, SIZE, END = 1, 2, 0
 WORDS = 8192  # bytes of what the assembler says at most
+NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING: other streams may be used while this one is captured
+
+
+class Graph:
+    """An executable graph of the driver, which frees it with this; a launch that has begun ends before.
+
+    Args:
+        driver: the module.
+        handle: the driver's.
+    """
+
+    def __init__(self, driver: Any, handle: Any):
+        self.handle = handle
+        weakref.finalize(self, driver.cuGraphExecDestroy, handle).atexit = False
 
 
 class Driver:
@@ -36,11 +53,15 @@ class Driver:
         architecture: of the device, such as "sm_90".
         device: torch's.
         stream: tells the number of the stream that is current on it.
+        on: a context in which the stream of a number is the current one.
     """
 
-    def __init__(self, driver: Any, architecture: str, device: torch.device, stream: Callable[[], int]):
-        self.driver, self.architecture, self.device, self.stream = driver, architecture, device, stream
+    def __init__(self, driver: Any, architecture: str, device: torch.device, stream: Callable[[], int],
+                 on: Callable[[int], AbstractContextManager]):
+        self.driver, self.architecture, self.device, self.stream, self.on = driver, architecture, device, stream, on
         self.context = self.ask(driver.cuDevicePrimaryCtxRetain, self.ask(driver.cuDeviceGet, device.index or 0))
+        self.aside: Any = None  # the stream on which graphs are captured; nothing runs there
+        self.one = Lock()  # graphs are made and started by one thread at a time
 
     def ask(self, function: Callable, *arguments) -> Any:
         """Calls a function of the driver, and returns its result.
@@ -109,6 +130,39 @@ class Driver:
         with self.current():
             yield launch
 
+    def is_captured(self) -> bool:
+        """True while the caller makes a graph of what is launched on torch's current stream."""
+        return self.ask(self.driver.cuStreamIsCapturing, self.stream()) != 0
+
+    def captured(self, start: Callable[[Callable], None]) -> Graph | None:
+        """What `start` launches as a graph, see `gpu.Launcher`; None: the driver makes none, for lack of memory or by age.
+
+        It is captured on a stream of its own, since torch's usual one cannot be.
+        """
+        driver = self.driver
+        try:
+            with self.one, self.current():
+                if self.aside is None:
+                    self.aside = self.ask(driver.cuStreamCreate, NON_BLOCKING)
+                # Relaxed, as memory may be freed meanwhile, by whatever Python collects.
+                self.ask(driver.cuStreamBeginCapture, self.aside, driver.CUstreamCaptureMode.CU_STREAM_CAPTURE_MODE_RELAXED)
+                try:
+                    with self.on(int(self.aside)), self.together() as launch:
+                        start(launch)
+                finally:
+                    graph = self.ask(driver.cuStreamEndCapture, self.aside)
+                try:
+                    return Graph(driver, self.ask(driver.cuGraphInstantiate, graph, 0))
+                finally:
+                    self.ask(driver.cuGraphDestroy, graph)
+        except RuntimeError:
+            return None
+
+    def play(self, graph: Graph) -> None:
+        """Starts the kernels of a graph on torch's current stream."""
+        with self.one, self.current():
+            self.ask(self.driver.cuGraphLaunch, graph.handle, self.stream())
+
 
 def refused(code: bytes, complaint: bytes) -> str:
     """The assembler's error about PTX, and the file in which the PTX was saved."""
@@ -143,4 +197,5 @@ def driver_of(device: torch.device) -> Driver:
         raise NoDriver(f"NVIDIA's display driver could not be started: {error.name}. Look at what nvidia-smi says, or "
                            "render with compile=False")
     major, minor = torch.cuda.get_device_capability(device)
-    return Driver(driver, f"sm_{major}{minor}", device, lambda: torch.cuda.current_stream(device).cuda_stream)
+    return Driver(driver, f"sm_{major}{minor}", device, lambda: torch.cuda.current_stream(device).cuda_stream,
+                  lambda stream: torch.cuda.stream(torch.cuda.ExternalStream(stream, device)))

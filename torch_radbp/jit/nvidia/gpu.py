@@ -20,6 +20,7 @@ from torch_radbp.jit.lane.emit import emit
 from torch_radbp.jit.lane.graph import Program
 from torch_radbp.jit.lane.lowered import without_library
 from torch_radbp.jit.nvidia.driver import NoDriver, driver_of
+from torch_radbp.jit.nvidia.graphs import MOST_LANES, SequenceMemory
 from torch_radbp.jit.nvidia.launches import Caster, Part, RayQuery
 from torch_radbp.jit.nvidia.nvptx import BLOCK, kernel_module
 from torch_radbp.jit.nvidia.nvptx_lanes import COPIES, SMALL, put_text, scatter_text
@@ -31,6 +32,9 @@ from torch_radbp.threads.later import Later
 from torch_radbp.threads.made_once import made_once
 
 SCATTERED = {(dtype, tables): (dtype, tables) for dtype in SCALARS for tables in range(1, MOST_TABLES + 1)}
+
+
+Start = Callable[[Any, int, int, int, int], None]  # as `Launcher.launch`, but of an address and a number of words
 
 
 class Launcher(Protocol):
@@ -50,8 +54,20 @@ class Launcher(Protocol):
             parameters: 64-bit words; read before this returns.
         """
 
-    def together(self) -> AbstractContextManager[Callable[[Any, int, int, int, int], None]]:
-        """What starts several kernels, one after the other: as `launch`, but of an address and a number of words."""
+    def together(self) -> AbstractContextManager[Start]:
+        """What starts several kernels, one after the other."""
+
+    def stream(self) -> int:
+        """The number of torch's current stream."""
+
+    def is_captured(self) -> bool:
+        """True while somebody else makes a graph of what is launched."""
+
+    def captured(self, start: Callable[[Start], None]) -> Any:
+        """A graph of what `start` launches, by the function that it is given and by a `Caster`; None: there are none."""
+
+    def play(self, graph: Any) -> None:
+        """Starts the kernels of a graph, one after the other."""
 
 
 class LoadedKernel:
@@ -101,6 +117,7 @@ class Gpu(AnyDevice):
         self.launcher = launcher
         self.kernels: dict[tuple, LoadedKernel] = {}  # of `put` and `scatter_add`, by name and dtypes
         self.loading = Lock()
+        self.memory = SequenceMemory()
 
     def text(self, program: Program) -> str:
         """The LLVM IR of a program's kernel."""
@@ -136,7 +153,11 @@ class Gpu(AnyDevice):
         """See `Target`."""
         return RecordedLaunches(self, recording, given, results)
 
-    def launch_all(self, part: Part, words: Tensor, lanes: int, caster: Caster | None) -> None:
+    def comes_again(self, lanes: int) -> bool:
+        """True if sequences of launches over so many lanes may have graphs."""
+        return lanes <= MOST_LANES and not self.launcher.is_captured()
+
+    def launch_all(self, part: Part, words: Tensor, lanes: int, caster: Caster | None, comes_again: bool) -> None:
         """Starts kernels, one after the other, and waits for none.
 
         Args:
@@ -144,14 +165,30 @@ class Gpu(AnyDevice):
             words: theirs, int64 on the CPU.
             lanes: as many as there may be.
             caster: of rays.
+            comes_again: it may have a graph.
         """
         address = words.data_ptr() - 8 * part.words.start
-        with self.launcher.together() as launch:
+
+        def start(launch: Start) -> None:
             for kernel, blocks, first, last in part.launches:
                 if isinstance(kernel, RayQuery):
                     caster.launch(kernel.kernel, lanes, *(ctypes.c_int64 * (last - first)).from_address(address + 8 * first))
                 else:
                     launch(kernel.kernel, blocks, BLOCK, address + 8 * first, last - first)
+
+        if comes_again:
+            given = ctypes.string_at(words.data_ptr(), words.nbytes) + (caster.given() if part.casts else b"")
+            graph = part.graphs.of(given, partial(self.launcher.captured, start))
+            if graph is not None:
+                return self.launcher.play(graph)
+        with self.launcher.together() as launch:
+            start(launch)
+
+    def room(self, size: int, device: torch.device, comes_again: bool) -> Tensor:
+        """Bytes that a sequence of launches works in, which may have a graph."""
+        if comes_again and size:
+            return self.memory.room(size, self.launcher.stream(), device)
+        return torch.empty(size, dtype=torch.uint8, device=device)
 
     def put(self, targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
         words = [place.data_ptr()]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, Protocol
 
 import torch
 
+from torch_radbp.jit.nvidia.graphs import Graphs
 from torch_radbp.jit.nvidia.nvptx import BLOCK
 from torch_radbp.jit.nvidia.nvptx_lanes import copy_text, counts_text, move_text, put_text, scatter_text
 from torch_radbp.jit.nvidia.nvptx_order import GROUP, MOST_QUEUES, RUN, count_text, place_text, sum_text
@@ -61,6 +62,9 @@ class Caster(Protocol):
             addresses: of what the kernel reads and writes.
         """
 
+    def given(self) -> bytes:
+        """All that `launch` gives to kernels beside its arguments, which they are about to read on the current stream."""
+
 
 class Word(NamedTuple):
     """A word that a kernel is given: an address, and a distance from there."""
@@ -84,6 +88,8 @@ class Part(NamedTuple):
     launches: Sequence[Launch]
     words: slice  # theirs, of those of all launches
     outside: Outside | None  # what is done afterwards; None: nothing
+    casts: bool  # a `Caster` is needed
+    graphs: Graphs
 
 
 class DeviceRecording(NamedTuple):
@@ -161,7 +167,9 @@ class Launches:
         """Ends a part of the launches, behind which something is done outside."""
         known = sum(len(part.launches) for part in self.parts)
         words = slice(self.parts[-1].words.stop if self.parts else 0, len(self.words))
-        self.parts.append(Part(self.sequence[known:], words, outside))
+        launches = self.sequence[known:]
+        casts = any(isinstance(launch.kernel, RayQuery) for launch in launches)
+        self.parts.append(Part(launches, words, outside, casts, Graphs()))
 
     def place(self, place: MemoryPlace) -> Word:
         """The word of memory that holds the address of a tensor when kernels are launched."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import itertools
 from array import array
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -80,9 +81,11 @@ class RecordedLaunches(RecordedResults):
         """
         most = most_of(lanes)
         launches = self.prepared(most)
-        kept = [self.bytes(0 if group.handed else len(group.tensors) * launches.lanes * group.dtype.itemsize).view(
+        comes_again = self.gpu.comes_again(launches.lanes)
+        room = partial(self.gpu.room, device=self.device, comes_again=comes_again)
+        kept = [room(0 if group.handed else len(group.tensors) * launches.lanes * group.dtype.itemsize).view(
             group.dtype).view(-1, launches.lanes) for group in self.layout.groups]
-        counts, scratch, rest = (self.bytes(max(1, size)) for size in (
+        counts, scratch, rest = (room(max(1, size)) for size in (
             8 * self.counts, launches.scratch, self.layout.bytes * launches.lanes))
         bases = array("q", [0, *[block.data_ptr() for block in (counts, scratch, rest, *kept)]])
         bases += given.addresses + others.addresses + given.lengths + others.lengths
@@ -92,10 +95,10 @@ class RecordedLaunches(RecordedResults):
         for part in launches.parts:
             blocks, distances = launches.blocks[part.words], launches.distances[part.words]
             words = torch.frombuffer(bases, dtype=torch.int64).index_select(0, blocks).add_(distances)
-            self.gpu.launch_all(part, words, launches.lanes, caster)
+            self.gpu.launch_all(part, words, launches.lanes, caster, comes_again)
             if part.outside is not None:
-                room = Room((*given.items, *others.items), kept, rest, counts, launches.lanes)
-                for group, found in self.do(part.outside, contexts, room):
+                own = Room((*given.items, *others.items), kept, rest, counts, launches.lanes)
+                for group, found in self.do(part.outside, contexts, own):
                     kept[group], bases[len(BLOCKS) + group] = found[None], found.data_ptr()
         if waits:
             counts = counts.tolist()
@@ -144,7 +147,3 @@ class RecordedLaunches(RecordedResults):
                 self.launches.clear()
             launches = self.launches.setdefault(lanes, Launches(self.of, lanes))
         return launches
-
-    def bytes(self, size: int) -> Tensor:
-        """Memory of the device."""
-        return torch.empty(size, dtype=torch.uint8, device=self.device)

@@ -34,10 +34,14 @@ class RecordedInputs:
 
 
 class ResultGroup(NamedTuple):
-    """Results with the same dtype and number of lanes, which are rows of one tensor."""
+    """Results with the same dtype and number of lanes, which are rows of one tensor.
+
+    They are of one part of what a step returns: who keeps one part of it keeps no memory of the others.
+    """
 
     dtype: torch.dtype
     lanes: LaneSpan
+    part: int
     tensors: list[int]  # indices of the tensors
     handed: bool = False  # True: a tensor that outside work returns
 
@@ -47,24 +51,24 @@ class ResultLayout:
 
     Args:
         recording: whose tensors are laid out.
-        results: the numbers of the tensors that are returned.
+        results: the numbers of the tensors that are returned, with the part of the results that each belongs to.
     """
 
-    def __init__(self, recording: Recording, results: Sequence[int]):
+    def __init__(self, recording: Recording, results: Sequence[tuple[int, int]]):
         self.groups: list[ResultGroup] = []
         self.rows: dict[int, tuple[int, int]] = {}  # of each result the group and the row
         for operation in recording.operations:
             for place in operation.outputs if isinstance(operation, Outside) else ():
                 dtype, lanes = recording.made[place.tensor]
                 self.rows[place.tensor] = len(self.groups), 0
-                self.groups.append(ResultGroup(dtype, lanes, [place.tensor], True))
-        for number in dict.fromkeys(results):
+                self.groups.append(ResultGroup(dtype, lanes, 0, [place.tensor], True))
+        for number, part in results:
             if number in self.rows:
                 continue
             dtype, lanes = recording.made[number]
-            group = next((group for group in self.groups if group[:2] == (dtype, lanes) and not group.handed), None)
+            group = next((group for group in self.groups if group[:3] == (dtype, lanes, part) and not group.handed), None)
             if group is None:
-                self.groups.append(group := ResultGroup(dtype, lanes, []))
+                self.groups.append(group := ResultGroup(dtype, lanes, part, []))
             self.rows[number] = self.groups.index(group), len(group.tensors)
             group.tensors.append(number)
         self.bytes = 0  # of all rows of the rest, for each lane
@@ -114,15 +118,19 @@ class RecordedResults:
     Args:
         recording: of the function.
         given: the function's inputs.
-        results: what the function returned: tensors in nested tuples.
+        results: what the function returned: tensors in nested tuples, whose parts lie in memory of their own.
     """
 
     def __init__(self, recording: Recording, given: Sequence[Tensor | int], results: Any):
         leaves: list[Tensor] = []
-        flatten(results, leaves, [])
+        parts: list[int] = []  # of each leaf
+        for number, part in enumerate(results if type(results) is tuple else (results,)):
+            flatten(part, leaves, [])
+            parts += [number] * (len(leaves) - len(parts))
         places = [recording.place(leaf) if leaf.numel() else None for leaf in leaves]
         self.assemble: Callable[[list[Tensor]], Any] = assembler(with_other_leaves(results, Leaf))
-        self.layout = ResultLayout(recording, [place.tensor for place in places if place and place.made])
+        self.layout = ResultLayout(recording, [
+            (place.tensor, part) for place, part in zip(places, parts) if place and place.made])
         self.empty: list[torch.dtype] = []  # of results without lanes, which are new each time
         self.found = [self.where(place, recording.span(leaf.numel()), leaf.dtype) for place, leaf in zip(places, leaves)]
         self.rays, self.counts = recording.rays, recording.counts
