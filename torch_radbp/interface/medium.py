@@ -88,8 +88,10 @@ class MediumKind:
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def flight_pdf(self, table: Table, ray: Ray, way: Tensor, distance: Tensor) -> tuple[Vec3, Vec3]:
-        """The density of `sample_flight` over distance, and the probability of flying farther, (N,) each: for each of the
-        three colours by which it may sample, of which `v` in [0, 1) chooses one, by thirds."""
+        """The density with which `sample_flight` samples distances, and the probability that a flight goes farther, (N,).
+
+        By colour: a flight is sampled by the extinction of one of three colours, each with a probability of a third.
+        """
         raise TypeError(f"{type(self).__name__} does not scatter")
 
     def emitted(self, table: Table, p: Vec3) -> Vec3:

@@ -20,7 +20,7 @@ from torch_radbp.volume.constvolume import as_volume
 
 @dataclass(frozen=True)
 class VolumeReader(TableReader):
-    """Reads volumes of one kind where surfaces are. Bank: the tables of the volumes."""
+    """Reads volumes of one kind at points of surfaces, as textures; `bank` holds the tables of the volumes."""
 
     volume: VolumeKind
     as_number: bool = False  # the luminance of three channels

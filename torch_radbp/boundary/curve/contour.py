@@ -316,7 +316,14 @@ def _met(level: TriangleLevel, along: Tensor) -> list[OnTriangle]:
 
 
 class OnView:
-    """The curves of one kind inside of triangles as a camera sees them. Args as for `net`."""
+    """The curves of one kind inside of triangles as a camera sees them: the zeros of a level function.
+
+    Args:
+        geometry: of the scene, attached.
+        between, instance: (N,) the triangles.
+        kind: of the level function, a key of `LEVELS`.
+        aperture: of the camera's rays; None: it has none.
+    """
 
     def __init__(self, geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
                  aperture: Vec2 | None):

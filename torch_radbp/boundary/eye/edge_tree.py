@@ -150,7 +150,13 @@ def _normal_of(geometry: Geometry, corner: Tensor, instance: Tensor | None) -> V
 
 @stage("below")
 def merged_bounds(below: EdgeNodes, node: Tensor, count: int) -> EdgeNodes:
-    """The bounds of nodes, (N,) int32, each over `count`, a power of 2, nodes of the level `below`."""
+    """The bounds of nodes of a tree, each of which bounds `count` neighbouring nodes of the level below.
+
+    Args:
+        below: that level.
+        node: (N,) int32, numbers of the nodes.
+        count: a power of 2.
+    """
     nodes = [rows(below, node * count + place) for place in range(count)]
     while len(nodes) > 1:
         nodes = [merged(*pair) for pair in zip(nodes[::2], nodes[1::2])]
