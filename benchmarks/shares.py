@@ -45,7 +45,7 @@ from torch_radbp.adjoint import function, taped_sweep
 from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.terms.jump_watch import JumpWatch
 from torch_radbp.jit import LaneFunction
-from torch_radbp.jit.cpu import cpu
+from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.path import taped_bounces
 from torch_radbp.raycast.direct import DirectCaster
 from torch_radbp.raycast.embree import Embree
@@ -55,7 +55,7 @@ BACKWARD, REST = "derivative of packing", "the rest"
 TIMED = {  # part: what is timed for it; what is called inside of another part counts for the inner one
     "closest hits": [(DirectCaster, "intersect"), (Embree, "intersect")],
     "shadow rays": [(DirectCaster, "occluded"), (Embree, "occluded")],
-    "fused code": [(cpu, "run_lanes")],
+    "fused code": [(kernel_code, "run_lanes")],
     "lane compiler": [(LaneFunction, "__call__"), (LaneFunction, "into")],
     "scatter": [(Gradients, "add"), (function, "gradients_of")],
     "packing": [(Renderer, "prepare")],
