@@ -111,7 +111,7 @@ def nearest_side(stages: Stages, geometry: Geometry, continues: Tensor, rays: li
     left = (~seen.between).nonzero().squeeze(1)
     if len(left):
         walk = rows(SideWalk(seen, *rays, *nearer), left)
-        step = stages(walked)
+        step = stages(walked).knowing(geometry, continues)
         for _ in range(WALK):
             walk = step(geometry, continues, walk)
             if not (walk.prim >= 0).any():
