@@ -17,7 +17,6 @@ from torch import Tensor
 
 import torch_radbp as rb
 from benchmarks.scenes.description import NO_ROULETTE, BenchmarkScene, cotangent
-from torch_radbp.jit.cpu import kernel_code
 
 LLVM = ("/usr/lib/*/libLLVM.so.19*", "/usr/lib/*/libLLVM-19.so*")  # Debian's libllvm19
 CHANGE = 1e-5  # relative, of parameters
@@ -52,11 +51,6 @@ def timed(forward: Callable[[], object], backward: Callable[[object], None], set
     settle()
     end = time.perf_counter()
     return Pass(middle - start, end - middle, time.process_time() - cpu)
-
-
-def compile_well() -> None:
-    """From here on code is made well at once, as for larger renderings; small ones get it after some hundred steps."""
-    kernel_code.MANY = 0
 
 
 class Ours:

@@ -219,10 +219,11 @@ class TurnedKind(Kind):
         light = light * self.passes(frame, -wi, -turned)
         if not self.draws_frames:
             return light, chance
-        round_, flipped = self.chance_of_turned_round(values), torch.ones_like(chance, dtype=torch.bool)
-        chances = (self.nested.null_transmission(nested, self.frame_if(values, mask).to_local(wi))[1]
-                   for mask in (flipped, ~flipped))
-        return light, sum(share * each for share, each in zip((round_, 1.0 - round_), chances))
+        # `choose` samples one of the two frames first, and may choose a lobe that lets light pass straight in either.
+        chance_of_turned_round, yes = self.chance_of_turned_round(values), torch.ones_like(chance, dtype=torch.bool)
+        for_turned, for_others = (self.nested.null_transmission(nested, self.frame_if(values, turned_round).to_local(wi))[1]
+                                  for turned_round in (yes, ~yes))
+        return light, for_others + chance_of_turned_round * (for_turned - for_others)
 
     def chooses_null(self, choice: LobeChoice) -> Tensor:
         return self.nested.chooses_null(choice.parts[0] if self.draws_frames else choice)
