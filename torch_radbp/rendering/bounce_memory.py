@@ -44,8 +44,9 @@ NOTHING = LinearSize(0.0, 0.0)
 
 
 class TableBytes(NamedTuple):
-    """Bytes that gradients of tables need, for any number of lanes."""
+    """Bytes that tables with derivatives need, for any number of lanes."""
 
+    packed: float = 0.0  # the tables, which each call packs anew from the parameters
     totals: float = 0.0  # sums of each worker, while bounces are differentiated
     packing: float = 0.0  # peak of autograd's backward pass through packing, afterwards
 
@@ -104,7 +105,9 @@ def tables_of(leaves: Sequence[Tensor], parameters: Sequence[Tensor]) -> TableBy
     with torch.enable_grad(), AllocatedBytes() as allocated:
         gradients = [torch.zeros_like(leaf) for leaf in leaves]
         torch.autograd.grad(leaves, parameters, gradients, retain_graph=True, allow_unused=True)
-    return TableBytes(bytes_of_totals(leaves), allocated.peak)
+    given = {parameter.untyped_storage().data_ptr() for parameter in parameters}
+    packed = sum(leaf.nbytes for leaf in leaves if leaf.untyped_storage().data_ptr() not in given)
+    return TableBytes(packed, bytes_of_totals(leaves), allocated.peak)
 
 
 def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None, start: Callable[[int], PathState],

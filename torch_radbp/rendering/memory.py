@@ -3,7 +3,8 @@
 Dead lanes leave the wavefront, so that the need depends on the scene: a pilot of a few thousand paths tells how many lanes
 reach each depth, and one of its bounces what a lane needs while it is computed (`bounce_memory.py`). What is counted: the
 states and hits that the forward pass keeps for the backward pass, and the working memory of the bounce that is being
-computed, or of the places at which images jump, with the allocator's waste. What is not: the scene itself and compiled code.
+computed, or of the places at which images jump, with the allocator's waste; tables that each call packs anew, since they
+have derivatives. What is not counted: the rest of the scene and compiled code.
 """
 
 from __future__ import annotations
@@ -203,7 +204,7 @@ def predict(work: Workload, chunk: int, adjoint: AdjointStrategy, record_bytes: 
     working = max(working, WASTE * tables.packing)
     if work.jumps:  # paths beside curves are traced as the others are
         working = max(working, work.jumps + together * unlike * waste * share * bounce.per_lane)
-    working += workers_beside(work.workers, tables.totals) * tables.totals
+    working += workers_beside(work.workers, tables.totals) * tables.totals + tables.packed
     # What is traced again is recorded chunk by chunk; and what is kept, chunk by chunk, too.
     kept = min(lanes * per_lane, max(record_bytes, together * per_lane))
     retrace = kept < lanes * per_lane
