@@ -61,10 +61,7 @@ class Recorded(RecordedResults):
             known: the counts that the function is told.
             contexts: of what is done outside.
         """
-        if self.improving:
-            self.lanes += max(lanes, kernel_code.LEAST)
-            if self.lanes >= kernel_code.ENOUGH // SHARES:
-                self.tell_loops()
+        self.takes(lanes)
         row = -(-lanes // 64) * 64
         addresses = given.addresses + others.addresses + given.lengths + others.lengths
         kept = [self.rows_of(group, row) for group in self.layout.groups]
@@ -88,8 +85,13 @@ class Recorded(RecordedResults):
                    for group, row, count in self.found]
         return self.assemble(results), counts
 
-    def tell_loops(self) -> None:
-        """Counts the lanes of the last runs for its loops, and takes over better code of theirs."""
+    def takes(self, lanes: int) -> None:
+        """Counts the lanes of a run; from time to time its loops are told of them, and better code of theirs is taken over."""
+        if not self.improving:
+            return
+        self.lanes += max(lanes, kernel_code.LEAST)
+        if self.lanes < kernel_code.ENOUGH // SHARES:
+            return
         lanes, self.lanes, going_on = self.lanes, 0, []
         for place in self.improving:
             if self.called[place].takes(lanes):
