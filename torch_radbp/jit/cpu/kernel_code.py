@@ -1,9 +1,9 @@
 """Machine code of a kernel: made quickly, and well where there is much for it to do.
 
-Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel begins with such
-code. Once it has had so many lanes that better code pays, or has run so often that it is part of a long training, a helper
-makes that, and whoever runs the kernel next takes it. Both compute the same bits, for what LLVM might round otherwise is said
-by the program (`lane/fused.py`).
+Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel begins with
+such code. Once it has had so many lanes that better code pays, or has run so often that it is part of a long training, a
+helper makes that, and whoever runs the kernel next takes it. Both compute the same bits, for what LLVM might round otherwise
+is said by the program (`lane/fused.py`).
 """
 
 from __future__ import annotations

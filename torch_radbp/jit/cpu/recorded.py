@@ -86,7 +86,7 @@ class Recorded(RecordedResults):
         return self.assemble(results), counts
 
     def takes(self, lanes: int) -> None:
-        """Counts the lanes of a run; from time to time its loops are told of them, and better code of theirs is taken over."""
+        """Counts the lanes of a run, and now and then tells its loops, of which it takes over better code."""
         if not self.improving:
             return
         self.lanes += max(lanes, kernel_code.LEAST)
