@@ -29,7 +29,6 @@ from benchmarks.peers import Ours
 from benchmarks.scenes import QUICK, SCENES
 from torch_radbp.jit import LaneFunction
 from torch_radbp.jit.arguments import Arguments
-from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.jit.cpu.cpu import loop_module
 from torch_radbp.jit.cpu.kernel_code import CpuLoop, KernelCode
 from torch_radbp.jit.cpu.machine import host_width
@@ -192,7 +191,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="tiny images, to see that it works")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    kernel_code.MANY = 0  # code is made well at once, for small renderings as well
+    KernelCode.first = partial(KernelCode.made, well=True)  # at once, for small renderings as well
     limits = machine()
     print(f"one thread: {limits.moved / 1e9:.1f} GB/s, {limits.operations / 1e9:.1f} billion operations and "
           f"{limits.gathers / 1e9:.2f} billion gathers a second (float32)\n")

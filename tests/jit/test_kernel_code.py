@@ -9,7 +9,7 @@ from tests.jit.quickly import Quick
 from torch_radbp.jit import LaneFunction, compiled, run
 from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.jit.cpu.cpu import Cpu
-from torch_radbp.jit.cpu.kernel_code import ENOUGH, LONGEST, MANY, Ahead, CpuLoop, KernelCode
+from torch_radbp.jit.cpu.kernel_code import ENOUGH, LEAST, LONGEST, CpuLoop, KernelCode
 
 
 def sums(x, y, z):
@@ -27,7 +27,6 @@ def made(monkeypatch) -> list[bool]:
     """Of all code that is made in the test, whether it is made well."""
     found, make = [], kernel_code.object_code
     monkeypatch.setattr(kernel_code, "object_code", lambda text, well: found.append(well) or make(text, well))
-    monkeypatch.setattr(Ahead, "paths", 0)
     return found
 
 
@@ -60,7 +59,7 @@ def test_code_is_made_quickly_and_well_once_it_has_had_enough_lanes(made):
     first = loop.address
     assert made == [False]
     for _ in range(2):
-        loop.takes(ENOUGH // 2 - 1000)
+        loop.takes((ENOUGH - LEAST) // 2 - 1000)
     assert loop.improving is None
     loop.takes(2000)
     loop.improving.result()
@@ -70,18 +69,16 @@ def test_code_is_made_quickly_and_well_once_it_has_had_enough_lanes(made):
     assert_same(found[2], expected[2])
 
 
-def test_code_is_made_well_at_once_for_a_rendering_of_many_paths(made):
-    function, other = (LaneFunction(mixed, tables=("colours",)) for _ in range(2))
-    function(*arguments(1000))
-    Ahead.are(MANY - 1)
-    function(*arguments(1000))
-    assert made == [False]
-    Ahead.are(MANY)
-    other(*arguments(1000))
+def test_a_kernel_that_runs_often_is_made_well_though_it_has_few_lanes(made, monkeypatch):
+    monkeypatch.setattr(kernel_code, "ENOUGH", 4 * LEAST)
+    function, given = LaneFunction(mixed, tables=("colours",)), arguments(10)
+    for _ in range(3):
+        function(*given)
+    loop = function.prepared(given)[0].loop.result()
+    assert loop.improving is None
+    function(*given)
+    loop.improving.result()
     assert made == [False, True]
-    function(*arguments(1000))
-    function.prepared(arguments(1000))[0].loop.result().improving.result()
-    assert made == [False, True, True]
 
 
 def test_long_kernels_are_made_well_at_once(made):

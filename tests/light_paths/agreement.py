@@ -10,10 +10,10 @@ import torch_radbp as rb
 SEEDS, SPP = 12, 64
 
 
-def images(scene: rb.Scene, light_paths: str, **settings) -> Tensor:
+def images(scene: rb.Scene, light_paths: str, spp: int = SPP, **settings) -> Tensor:
     renderer = rb.Renderer(scene, light_paths=light_paths, **settings)
     with torch.no_grad():
-        return torch.cat([renderer(seed=seed, spp=SPP) for seed in range(SEEDS)])
+        return torch.cat([renderer(seed=seed, spp=spp) for seed in range(SEEDS)])
 
 
 def assert_agree(one: Tensor, other: Tensor, most: float = 4.5) -> None:

@@ -27,7 +27,9 @@ OTHERS = {
 @pytest.mark.parametrize("lamp", LAMPS)
 def test_all_light_of_a_lamp_is_that_of_paths_from_the_camera(lamp, camera):
     scene = lit_ball(lamp, camera)
-    assert_agree(images(scene, "camera"), images(scene, "all"))
+    # Paths from the camera find light that leaves its lamp in one direction so rarely that few would say nothing of errors.
+    spp = 16 * SPP if lamp == "directionalarea" else SPP
+    assert_agree(images(scene, "camera", spp), images(scene, "all", spp))
 
 
 @pytest.mark.parametrize("camera", ["thinlens", "orthographic"])
@@ -47,12 +49,12 @@ def test_light_is_shared_so_that_none_counts_twice(name, light_paths):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", deep_but(["mirror"], IDEAL))
 def test_caustics_of_a_point_are_those_of_all_light(name):
-    """Paths from the camera lack them."""
+    """Paths from the camera, which are the same ones in both images, lack them."""
     scene = lit_ball("point", bsdf=IDEAL[name])
     caustics, every = images(scene, "caustics"), images(scene, "all")
     assert_agree(caustics, every)
-    lacking = images(scene, "camera").mean((1, 2, 3))
-    assert (caustics.mean((1, 2, 3)).mean() - lacking.mean()) > 20 * lacking.std() / math.sqrt(SEEDS)
+    gained = (caustics - images(scene, "camera")).mean((1, 2, 3))
+    assert gained.mean() > 20 * gained.std() / math.sqrt(SEEDS)
 
 
 def test_a_point_over_a_floor_has_its_closed_form():

@@ -34,7 +34,9 @@ def values_and_tangents(record: Any) -> tuple[Any, Any]:
 
 def tangents_and_tensors(record: Any) -> list[Tensor]:
     """The tangents of a record, in order, and then its tensors."""
-    values, tangents = values_and_tangents(record) if inside_dual_level() else (record, ())
+    if not inside_dual_level():
+        return [leaf for leaf in leaves_of(record) if isinstance(leaf, Tensor)]
+    values, tangents = values_and_tangents(record)
     return [leaf for leaf in (*leaves_of(tangents), *leaves_of(values)) if isinstance(leaf, Tensor)]
 
 

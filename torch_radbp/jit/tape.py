@@ -174,7 +174,7 @@ class Tape:
 
     def kept(self, key: tuple, arguments: tuple, varying: RecordedInputs, name: Hashable, make: Callable[[], Any]) -> Any:
         """The cached result of `make` for arguments of this kind; None if it cannot be made."""
-        if not all([tensor.is_contiguous() for tensor in varying.items]):
+        if not all(map(Tensor.is_contiguous, varying.items)):
             return None
         kind = self.kinds.get(name)
         if kind is None:

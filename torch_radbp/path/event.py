@@ -6,6 +6,7 @@ derivatives; and what scatters light, which is the part of the scene that they r
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -112,6 +113,13 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
     """
     if last:
         return (Ends.LAST_BOUNCE,)
-    surfaces = map(SurfaceMet, range(len(layout.appearances)))
-    return (*surfaces, *map(FlightEnd, layout.scattering_media),
-            *([] if layout.surround is None and not layout.emitting_media else [Ends.SURROUNDINGS]))
+    surroundings = layout.surround is not None or bool(layout.emitting_media)
+    return scattering_and_end(len(layout.appearances), layout.scattering_media, surroundings)
+
+
+@functools.lru_cache(maxsize=256)
+def scattering_and_end(appearances: int, media: tuple[int, ...], surroundings: bool) -> tuple[Event, ...]:
+    """The events on surfaces of `appearances` kinds and in media of these numbers, and that of leaving the scene if
+    something is seen there."""
+    end = (Ends.SURROUNDINGS,) if surroundings else ()
+    return (*map(SurfaceMet, range(appearances)), *map(FlightEnd, media), *end)

@@ -135,9 +135,7 @@ class Integrand(NamedTuple):
     def settings_at(self, depth: int) -> Settings:
         """The settings at a bounce; at the first and the last bounce some differ."""
         ends = self.proposal.layout.from_lamps and depth + 1 >= self.bounces
-        settings, first = self.settings, depth == 0
-        return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
-                                 fixed_start=settings.fixed_start and first, ideal=settings.ideal and first)
+        return settings_of_bounce(self.settings, depth == 0, ends)
 
     def image_lanes(self, state: PathState) -> ImageLanes | None:
         """The lanes that the backward pass does not differentiate; None: all may be differentiated."""
@@ -171,6 +169,13 @@ class Integrand(NamedTuple):
     def scatterer(self, event: Event) -> Appearance | None:
         """The appearance that scatters light in an event; None if there is none."""
         return event.scatterer(self.scene.layout)
+
+
+@functools.lru_cache(maxsize=256)
+def settings_of_bounce(settings: Settings, first: bool, ends: bool) -> Settings:
+    """The settings at the first bounce or at a later one, which `ends` paths or does not."""
+    return settings._replace(hide_emitters=settings.hide_emitters and first, ends=ends,
+                             fixed_start=settings.fixed_start and first, ideal=settings.ideal and first)
 
 
 @functools.cache

@@ -25,10 +25,10 @@ def leaves_of(record: Any) -> list:
 def collect(record: tuple | list | dict, leaves: list) -> None:
     """Appends the leaves of a record to a list."""
     for part in record.values() if isinstance(record, dict) else record:
-        if isinstance(part, NESTED):
-            collect(part, leaves)
-        else:
+        if part is None or type(part) is Tensor or not isinstance(part, NESTED):  # from the most frequent to the rarest
             leaves.append(part)
+        else:
+            collect(part, leaves)
 
 
 def with_leaves(record: Any, leaves: Iterable) -> Any:

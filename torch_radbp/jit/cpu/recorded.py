@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.jit.cpu.board import Board
 from torch_radbp.jit.cpu.large_pages import block_of
 from torch_radbp.jit.cpu.machine import MachineCode, cached_code
@@ -19,6 +20,7 @@ from torch_radbp.jit.recording.lane_operations import MemoryPlace, Outside
 from torch_radbp.jit.recording.recording import Recording
 from torch_radbp.jit.recording.results import WHOLE, RecordedInputs, RecordedResults, ResultGroup
 
+SHARES = 64  # of the lanes that are enough for better code: so often loops are told of lanes, which takes time
 RECORDED = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 6, ctypes.c_int64, ctypes.c_int64)
 
 
@@ -46,6 +48,7 @@ class Recorded(RecordedResults):
         self.called = writer.functions  # so that they stay where they are
         self.functions = array("q", [called if isinstance(called, int) else called.address for called in self.called])
         self.improving = [place for place, called in enumerate(self.called) if not isinstance(called, int)]
+        self.lanes = 0  # of runs that these loops do not know of yet
 
     def __call__(self, given: RecordedInputs, others: RecordedInputs, lanes: int, board: Board, known: Sequence[int] = (),
                  contexts: Sequence[Any] = ()) -> tuple[Any, array]:
@@ -58,8 +61,7 @@ class Recorded(RecordedResults):
             known: the counts that the function is told.
             contexts: of what is done outside.
         """
-        if self.improving:
-            self.takes(lanes)
+        self.takes(lanes)
         row = -(-lanes // 64) * 64
         addresses = given.addresses + others.addresses + given.lengths + others.lengths
         kept = [self.rows_of(group, row) for group in self.layout.groups]
@@ -84,8 +86,13 @@ class Recorded(RecordedResults):
         return self.assemble(results), counts
 
     def takes(self, lanes: int) -> None:
-        """Counts the lanes of a run for its loops, and takes over better code of theirs."""
-        going_on = []
+        """Counts the lanes of a run, and now and then tells its loops, of which it takes over better code."""
+        if not self.improving:
+            return
+        self.lanes += max(lanes, kernel_code.LEAST)
+        if self.lanes < kernel_code.ENOUGH // SHARES:
+            return
+        lanes, self.lanes, going_on = self.lanes, 0, []
         for place in self.improving:
             if self.called[place].takes(lanes):
                 going_on.append(place)

@@ -23,8 +23,8 @@ class RecordedInputs:
 
     def __init__(self, items: Sequence[Tensor | int]):
         self.items = items
-        self.addresses = array("q", [item.data_ptr() if isinstance(item, Tensor) else item for item in items])
-        self.lengths = array("q", [item.numel() if isinstance(item, Tensor) else 0 for item in items])
+        self.addresses = array("q", [item if type(item) is int else item.data_ptr() for item in items])
+        self.lengths = array("q", [0 if type(item) is int else item.numel() for item in items])
 
     @property
     def pattern(self) -> tuple[int, ...]:

@@ -72,7 +72,7 @@ class Layout:
     @property
     def reads_outside(self) -> bool:
         """True if there are network textures, which are evaluated outside of compiled code."""
-        return bool(self.lit) or any(look.outside for look in self.appearances)
+        return bool(self.lit) or any(reader.outside for reader in self.readers)
 
     @property
     def scattering_media(self) -> tuple[int, ...]:
