@@ -58,8 +58,11 @@ def silhouettes_in_view(geometry: Geometry, outline: Outline, sight: CameraSight
 
 def lines_left_out(term: LinesTerm, rendering: Rendering) -> set[str]:
     """The differentiated parameters that move lines of a term in view."""
-    lines, scene, cameras = term.lines(rendering), rendering.call.still_scene, rendering.camera_movers
+    scene, cameras = rendering.call.still_scene, rendering.camera_movers
     names = [[*moving, *own] for moving, own in zip(rendering.movers, term.sliding(rendering))]
+    if not any(names) and not any(cameras):
+        return set()
+    lines = term.lines(rendering)
     wanted = tuple(bool(own) and (any(cameras) or bool(of)) for own, of in zip(lines, names))
     if not any(wanted):
         return set()

@@ -20,7 +20,7 @@ from torch_radbp.threads.team import run_lanes
 
 LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
 ENOUGH = 1 << 24  # lanes, bounce by bounce, for which better code pays beside the first
-LEAST = 1 << 13  # that a run counts as
+LEAST = 1 << 15  # that a run counts as
 
 
 class KernelCode(NamedTuple):
