@@ -108,6 +108,16 @@ def test_better_code_takes_the_place_of_the_first_on_disk(made, tmp_path, monkey
     assert len(list(tmp_path.glob("*.code"))) == 1
 
 
+def test_lanes_of_short_processes_add_up(made, tmp_path, monkeypatch):
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", str(tmp_path))
+    for _ in range(2):
+        loop = LaneFunction(mixed, tables=("colours",)).prepared(arguments(100))[0].loop.result()
+        assert loop.improving is None
+        loop.takes(ENOUGH // 2)
+    loop.improving.result()
+    assert made == [False, True]
+
+
 def test_a_loop_that_nobody_can_keep_improves_all_the_same(made, monkeypatch):
     monkeypatch.setattr(compiled, "code_name", lambda *given: None)
     loop = LaneFunction(mixed, tables=("colours",)).prepared(arguments(100))[0].loop.result()

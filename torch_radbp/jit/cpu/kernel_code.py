@@ -1,9 +1,9 @@
 """Machine code of a kernel: made quickly, and well where there is much for it to do.
 
 Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel begins with
-such code. Once it has had so many lanes that better code pays, or has run so often that it is part of a long training, a
-helper makes that, and whoever runs the kernel next takes it. Both compute the same bits, for what LLVM might round otherwise
-is said by the program (`lane/fused.py`).
+such code. Once it has had so many lanes that better code pays, in this process and those before, or has run so often that it
+is part of a long training, a helper makes that, and whoever runs the kernel next takes it. Both compute the same bits, for
+what LLVM might round otherwise is said by the program (`lane/fused.py`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from torch_radbp.threads.team import run_lanes
 LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
 ENOUGH = 1 << 24  # lanes, bounce by bounce, for which better code pays beside the first
 LEAST = 1 << 15  # that a run counts as
+WRITTEN = 16  # parts of these lanes after each of which they are written down, for later processes, most of which are short
 
 
 class KernelCode(NamedTuple):
@@ -28,6 +29,7 @@ class KernelCode(NamedTuple):
 
     object: bytes  # an object file
     text: bytes  # the LLVM IR, compressed; empty: it is made well
+    lanes: int = 0  # that it has had in earlier processes, as far as they are written down
 
     @staticmethod
     def first(text: str) -> KernelCode:
@@ -52,14 +54,14 @@ class CpuLoop:
 
     Args:
         code: a packed `KernelCode`.
-        keep: writes better code into the cache; None: it is not kept.
+        keep: writes code into the cache; None: it is not kept.
     """
 
     def __init__(self, code: bytes, keep: Callable[[bytes], None] | None = None):
         self.made, self.keep = KernelCode(*pickle.loads(code)), keep
         self.loaded = [MachineCode(self.made.object)]  # the last is the best; those before may be running
         self.may_improve = bool(self.made.text)
-        self.lanes = 0  # counted while it may
+        self.lanes = self.made.lanes  # counted while it may
         self.improving: Later[None] | None = None
 
     @property
@@ -79,6 +81,9 @@ class CpuLoop:
         self.lanes += lanes
         if self.improving is None and self.lanes >= ENOUGH:
             self.improving = Later(self.improve).meanwhile()
+        elif self.improving is None and self.lanes - self.made.lanes >= ENOUGH // WRITTEN:
+            self.made = self.made._replace(lanes=self.lanes)
+            self.write()
         return True
 
     def improve(self) -> None:
@@ -86,5 +91,9 @@ class CpuLoop:
         self.made = self.made.better()
         self.loaded.append(MachineCode(self.made.object))
         self.may_improve = False
+        self.write()
+
+    def write(self) -> None:
+        """Writes the code into the cache, if it is kept there."""
         if self.keep is not None:
             self.keep(self.made.packed())
