@@ -82,7 +82,7 @@ MUTANTS = (
            ("formats/test_mesh.py", "formats/test_bad_mesh.py")),
     # Boundary terms.
     Mutant("boundary/curve/edge_places.py", "scale = times * reach", "scale = times", ("boundary/test_primary.py",)),
-    Mutant("boundary/curve/segments.py", "return -volume * (normal.x", "return volume * (normal.x",
+    Mutant("boundary/curve/inner_lines.py", "return -volume * (normal.x", "return volume * (normal.x",
            ("boundary/test_intersections.py", "derivatives/test_crossing_bodies.py")),
     Mutant("boundary/curve/segments.py", "(f0, f1, f2)[(2 + other) % 3]", "(f0, f1, f2)[(1 + other) % 3]",
            ("boundary/test_intersections.py", "boundary/test_texture_lines.py")),

@@ -26,7 +26,7 @@ along m, and |m| t / |f_t| is its length on the film for each s.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -34,6 +34,7 @@ from torch import Tensor
 from torch_radbp.boundary.curve.faces import Faces
 from torch_radbp.boundary.curve.film_term import CurvesInView, ExaminedView, FilmTerm, film_term, lanes
 from torch_radbp.boundary.curve.geometry import Between, Geometry, positions, vertex_normals
+from torch_radbp.boundary.curve.outline import Jumps
 from torch_radbp.boundary.curve.places import (
     FAR,
     NEAR,
@@ -57,9 +58,6 @@ from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import TINY, Vec2, Vec3, dot, interpolated, rows
-
-if TYPE_CHECKING:
-    from torch_radbp.boundary.curve.outline import Jumps
 
 PROBES = ((0.1, 0.15, 0.5), (0.3, 0.5, 0.15), (0.5, 0.5, 0.5), (0.7, 0.5, 0.85), (0.9, 0.85, 0.5))  # s, and the aperture
 ASIDE = 1e-9  # share of its distance by which a rim is moved off the edges of triangles

@@ -12,21 +12,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from torch_radbp.boundary.curve.geometry import Geometry
+from torch_radbp.boundary.curve.outline import Jumps, Outline
 from torch_radbp.boundary.curve.places import Places, Sight, lot_of
+from torch_radbp.boundary.curve.segments import Segments
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sensor.kind import Camera
 from torch_radbp.tensors.stage import Stages
-
-if TYPE_CHECKING:
-    from torch_radbp.boundary.curve.outline import Jumps, Outline
-    from torch_radbp.boundary.curve.segments import Segments
 
 
 class ExaminedView(NamedTuple):

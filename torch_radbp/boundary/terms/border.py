@@ -29,56 +29,40 @@ from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.boundary.curve.edge_order import GROUP
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.curve.outline import Outline
-from torch_radbp.boundary.curve.places import FEWEST, on_film
+from torch_radbp.boundary.curve.places import on_film
 from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.silhouette import crosses_view
-from torch_radbp.boundary.eye.edges_tried import edges_tried, eyes_for_each
-from torch_radbp.boundary.eye.eyes import Eyes
-from torch_radbp.boundary.eye.light_points import light_eyes, light_line, light_points
+from torch_radbp.boundary.eye.light_points import light_line
 from torch_radbp.boundary.eye.lit_behind import light_sent_past, lit_surfaces, sees_receivers
 from torch_radbp.boundary.eye.lit_sides import motion_of_surface
 from torch_radbp.boundary.eye.seen_edges import (
     BESIDE,
-    Casting,
     Course,
     Passed,
     corners_of,
     course_of,
     crossed_at,
-    places_on,
-    places_seen,
     point_of_edge,
-    salted,
 )
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, into_shade, seen_at
 from torch_radbp.boundary.eye.viewpoints import path_of
-from torch_radbp.boundary.eye.ways_down import lot_of_found
+from torch_radbp.boundary.terms.call_traits import films_have_area
 from torch_radbp.boundary.terms.covered_lights import Lights
-from torch_radbp.boundary.terms.shadow_term import (
-    CutOff,
-    ShadowTerm,
-    TermSize,
-    cut_off,
-    films_have_area,
-    shadow_term,
-)
+from torch_radbp.boundary.terms.lit_edges import LOOKS, EdgesFromLights, LitEdges, samples_of
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
-from torch_radbp.call.view import View
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
 from torch_radbp.path.light_share import ends_lamp_paths
 from torch_radbp.raycast.protocol import Hit
-from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.tables.part import part_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of
 from torch_radbp.sensor.kind import Camera
-from torch_radbp.tensors.stage import EAGER, Stages, stage
+from torch_radbp.tensors.stage import EAGER, stage
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3, interpolated, max_component, rows
 
-SALT = 0x1F83D9AB  # tells the random numbers of borders from others
-SHARE, MOST = 16, 1 << 19  # one place for so many paths of the image; and at most
+SHARE = 16  # one place for so many paths of the image
 SHARP_SHARE = 4  # the same where some lights have no extent: all that shadows move by lies on their borders
-LOOKS = 4  # for edges from each light sample
 FEW = 1024  # light samples of a warning
 BYTES_OF_TRIED = 20, 240  # an edge that is tried from a light sample: in fused loops, in plain torch
 
@@ -90,15 +74,6 @@ class Borders(NamedTuple):
     along: Tensor  # (N,) float64, position along the edge, from a to b
     draw: LightDraw
     receiver: Hit  # the point on which the border falls
-
-
-class LitEdges(NamedTuple):
-    """N samples on edges as seen from M light samples, before the light is traced on to receivers."""
-
-    passed: Passed  # with light samples as viewpoints
-    draw: LightDraw  # (M,)
-    eyes: Eyes  # (M,)
-    count: int  # number of all light samples, those of other lights included
 
 
 class CastShadows(NamedTuple):
@@ -218,52 +193,9 @@ def share_of(scene: SceneTensors) -> int:
     return SHARP_SHARE if any(kind.delta for kind in scene.layout.lights) else SHARE
 
 
-def samples_of(call: RenderCall, view: View, share: int) -> int:
-    """The number of samples on shadow borders for a view, one for `share` paths of its image."""
-    return max(FEWEST, min(MOST, view.width * view.height * call.spp // share))
-
-
 def most_samples(call: RenderCall) -> int:
     """The greatest number of samples on direct shadow borders for a view."""
     return max(samples_of(call, view, share_of(call.scene)) for view in call.views)
-
-
-class EdgesFromLights:
-    """Samples of edges as seen from lights, cached for terms that need the same ones; `call`: detached."""
-
-    def __init__(self, call: RenderCall, casting: Casting):
-        self.call, self.casting = call, casting
-        self.last: tuple[tuple, LitEdges | None] | None = None  # what was asked for last, and the samples
-
-    def lit(self, number: int, lights: Lights, share: int) -> LitEdges | None:
-        """The samples of `lit_edges`, cached; args and result as there."""
-        asked = number, share, [lights.covers(kind) for kind in self.call.scene.layout.lights]
-        if self.last is None or self.last[0] != asked:
-            self.last = asked, lit_edges(self.call, number, self.casting, lights, share)
-        return self.last[1]
-
-
-def lit_edges(call: RenderCall, number: int, casting: Casting, lights: Lights, share: int) -> LitEdges | None:
-    """Samples silhouette edges as seen from light samples; None: they see none.
-
-    Args:
-        call: detached.
-        number: of the view.
-        casting: the edges.
-        lights: the lights whose shadows are sampled.
-        share: the number of image paths for each sample.
-    """
-    view, scene = call.views[number], call.scene
-    points = light_points(call.stages, scene, view, samples_of(call, view, share))
-    count, meant = len(points.kind), lights.of(scene)[points.kind].nonzero().squeeze(1)
-    points = rows(points, meant)
-    if not len(meant):
-        return None
-    eyes = call.integrand.part(Ends.SURROUNDINGS).call(light_eyes, points.draw)
-    passed = places_lit(call.stages, geometry_of(scene), casting, eyes, salted(view, SALT), count)
-    if passed is not None and casting.outline.parts is not None:  # what rests on its receiver is counted in `under_edges.py`
-        passed = rows(passed, (rows(casting.outline.parts.counts, passed.edge) == 1.0).nonzero().squeeze(1))
-    return None if passed is None or not len(passed.edge) else LitEdges(passed, points.draw, eyes, count)
 
 
 def shadows_cast(geometry: Geometry, lit: LitEdges, passed: Passed, receiver: Hit) -> CastShadows:
@@ -280,16 +212,6 @@ def borders_of(edges: EdgesFromLights, number: int, lights: Lights, share: int) 
     kept, receiver = lit_surfaces(call, edges.casting.outline, lit.passed)
     passed = rows(lit.passed, kept)
     return shadows_cast(geometry_of(call.scene), lit, passed, receiver) if len(passed.edge) else None
-
-
-def places_lit(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes, seed: SampleKey,
-               count: int) -> Passed | None:
-    """Samples points on edges as light samples see them; args and result as for `places_seen`."""
-    each, outline = eyes_for_each(casting.outline, eyes, LOOKS), casting.outline
-    if not each:
-        return places_seen(stages, geometry, casting, eyes, seed, LOOKS, count)
-    found, eye = edges_tried(stages, geometry, outline, eyes, seed, each, extent_of(geometry))
-    return places_on(stages, geometry, outline, eyes, seed, lot_of_found(found, eye, 1, count))
 
 
 @stage("scene", "geometry", "outline", "camera")

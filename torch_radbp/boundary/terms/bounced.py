@@ -29,9 +29,11 @@ from torch_radbp.boundary.eye.past_edges import leaving_towards
 from torch_radbp.boundary.eye.seen_edges import BEFORE, Passed, corners_of, course_of, crossed_at, uniform_numbers
 from torch_radbp.boundary.eye.slid import less_what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import Borders, EdgesFromLights, light_through, samples_of, shadows_cast
+from torch_radbp.boundary.terms.border import Borders, light_through, shadows_cast
+from torch_radbp.boundary.terms.call_traits import glues
 from torch_radbp.boundary.terms.covered_lights import Lights
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, glues, shadow_term
+from torch_radbp.boundary.terms.lit_edges import EdgesFromLights, samples_of
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_borders
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.direct_light import light_sent_back
@@ -121,7 +123,7 @@ def pairs_of(edges: EdgesFromLights, number: int, lights: Lights, following: boo
 
     Args:
         edges: the edges that cast shadows.
-        number, lights: as for `border.lit_edges`.
+        number, lights: as for `lit_edges`.
         following: as for `viewpoints`.
     """
     call, casting, lit = edges.call, edges.casting, edges.lit(number, lights, SHARE)

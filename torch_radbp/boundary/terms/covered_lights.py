@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torch_radbp.boundary.terms.shadow_term import films_have_area, follows_mirrors
+from torch_radbp.boundary.terms.call_traits import films_have_area, follows_mirrors
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.interface.emitter import LightKind
 from torch_radbp.scene.tables.scene_tensors import SceneTensors

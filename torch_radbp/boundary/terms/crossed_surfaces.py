@@ -44,8 +44,9 @@ from torch_radbp.boundary.eye.segment_tree import (
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, vertex_at, viewpoints
 from torch_radbp.boundary.eye.ways_down import lot_of_found, ways_down
+from torch_radbp.boundary.terms.call_traits import glues
 from torch_radbp.boundary.terms.hidden_light import EVERYTHING, light_beyond, most_paths, number_of_paths
-from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of

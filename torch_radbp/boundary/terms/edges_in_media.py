@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch_radbp.boundary.curve.outline import outlines_of
 from torch_radbp.boundary.curve.rendering import Rendering
-from torch_radbp.boundary.terms.shadow_term import follows, follows_mirrors, glues
+from torch_radbp.boundary.terms.call_traits import follows, follows_mirrors, glues
 
 
 def left_out_in_media(rendering: Rendering) -> list[str]:

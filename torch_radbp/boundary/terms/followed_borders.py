@@ -20,9 +20,10 @@ from torch_radbp.boundary.eye.seen_edges import course_of
 from torch_radbp.boundary.eye.viewpoints import Viewpoints, arriving, path_of, vertex_on
 from torch_radbp.boundary.terms.border import Borders, border
 from torch_radbp.boundary.terms.bounced import light_sent_on, pairs_of, way_to
+from torch_radbp.boundary.terms.call_traits import follows, sharp_lights_later
 from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.followed_light import moved_directions
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, follows, shadow_term, sharp_lights_later
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, cut_off, shadow_term
 from torch_radbp.call.render_call import integrand_of
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
 from torch_radbp.tensors.stage import EAGER

@@ -26,6 +26,7 @@ from torch_radbp.boundary.eye.drawn_directions import DirectionNumbers, Drawn, d
 from torch_radbp.boundary.eye.lines_through_edges import solid_angle
 from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted, unhidden
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, arriving, path_of, vertex_at, vertex_on, viewpoints
+from torch_radbp.boundary.terms.call_traits import follows
 from torch_radbp.boundary.terms.cuts import CutsOfView, all_cuts, cut_at, matter, some_cuts
 from torch_radbp.boundary.terms.hidden_light import (
     EVERYTHING,
@@ -36,7 +37,7 @@ from torch_radbp.boundary.terms.hidden_light import (
     number_of_paths,
     on_no_surface,
 )
-from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, follows, shadow_term
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.trace import trace

@@ -43,6 +43,7 @@ from torch_radbp.boundary.eye.thinning import chances, thinned
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
 from torch_radbp.boundary.terms.border import most_samples
+from torch_radbp.boundary.terms.call_traits import glues
 from torch_radbp.boundary.terms.covered_lights import SOFT, Lights
 from torch_radbp.boundary.terms.cuts import (
     CutsOfView,
@@ -53,7 +54,7 @@ from torch_radbp.boundary.terms.cuts import (
     some_cuts,
     with_used_viewpoints,
 )
-from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, shadow_term
 from torch_radbp.boundary.terms.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.call.view import View

@@ -13,6 +13,7 @@ from torch_radbp.boundary.curve.rendering import Rendering
 from torch_radbp.boundary.curve.segments import Segments, joined_segments
 from torch_radbp.boundary.curve.term import LineNumbers, lines_on_shapes, lines_slide
 from torch_radbp.boundary.eye.surfaces import line_table
+from torch_radbp.boundary.terms.call_traits import follows_mirrors
 from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.primary import bytes_of_jumps, image_jumps, moves
 from torch_radbp.boundary.terms.reflections import (
@@ -21,7 +22,6 @@ from torch_radbp.boundary.terms.reflections import (
     reflected_jumps,
     reflections_move,
 )
-from torch_radbp.boundary.terms.shadow_term import follows_mirrors
 from torch_radbp.boundary.terms.shadows import bytes_of_shadows, shadow_jumps, shadows_move, slides_over_edges
 from torch_radbp.boundary.warning.slid_over import lamps_beside_mirrors, slid_over
 from torch_radbp.call.render_call import RenderCall

@@ -18,8 +18,10 @@ from torch_radbp.boundary.curve.places import key_of_places, lot_of, on_film, pi
 from torch_radbp.boundary.eye.deposit import Deposit
 from torch_radbp.boundary.eye.seen_edges import Course, corners_of, crossed_at, finite_normal, pace, salted
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample, seen_at, sees
-from torch_radbp.boundary.terms.border import SHARE, most_samples, samples_of
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, films_have_area, shadow_term
+from torch_radbp.boundary.terms.border import SHARE, most_samples
+from torch_radbp.boundary.terms.call_traits import films_have_area
+from torch_radbp.boundary.terms.lit_edges import samples_of
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, TermSize, cut_off, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.light_connection import light_numbers

@@ -34,9 +34,10 @@ from torch_radbp.boundary.eye.lines_through_edges import scattered_towards, soli
 from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, Passed, places_seen, salted
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, eyes_at, path_of, vertex_at, viewpoints
 from torch_radbp.boundary.terms import split
+from torch_radbp.boundary.terms.call_traits import glues
 from torch_radbp.boundary.terms.cuts import CutsOfView, cuts_that_matter, jumps_of_cuts
 from torch_radbp.boundary.terms.hidden_light import LOOKS, PLACES, most_paths, number_of_paths
-from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, glues, shadow_term
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, shadow_term
 from torch_radbp.boundary.terms.split import ALL, Amount
 from torch_radbp.call.render_call import RenderCall, integrand_of
 from torch_radbp.path.integrand import Integrand

@@ -16,7 +16,7 @@ from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.eye.light_points import light_line
 from torch_radbp.boundary.eye.past_edges import hides_all
 from torch_radbp.boundary.eye.seen_edges import FAR, Casting, Passed, point_of_edge, salted, unhidden, uniform_numbers
-from torch_radbp.boundary.terms.border import LitEdges
+from torch_radbp.boundary.terms.lit_edges import LitEdges
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.path.event import Ends

@@ -11,7 +11,7 @@ over all terms.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -22,11 +22,9 @@ from torch_radbp.boundary.curve.segments import Segments
 from torch_radbp.boundary.curve.term import LineNumbers
 from torch_radbp.boundary.eye.deposit import Deposit, attached_geometry, swept_areas
 from torch_radbp.boundary.eye.seen_edges import Casting, Course
+from torch_radbp.boundary.terms.lit_edges import EdgesFromLights
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.tensors.vec import Vec2, rows
-
-if TYPE_CHECKING:
-    from torch_radbp.boundary.terms.border import EdgesFromLights
 
 
 class ShadowSearch(NamedTuple):
@@ -150,30 +148,3 @@ def terms_of(search: ShadowSearch) -> list[ShadowTerm]:
     terms = [term(search) for term in SHADOW_TERMS
              if all(getattr(search, name) is not None for name in term.needs) and (term.through_media or not segments)]
     return [term for term in terms if term.applies()]
-
-
-def films_have_area(call: RenderCall) -> bool:
-    """True if pixels of all views have an area; along single rays no borders are seen."""
-    return all(view.camera.kind.has_area for view in call.views)
-
-
-def follows_mirrors(call: RenderCall) -> bool:
-    """True if the scene has ideal mirrors or glass, in which cameras may see something."""
-    return (call.integrand.max_depth > 1 and any(look.kind.delta for look in call.scene.layout.appearances)
-            and films_have_area(call))
-
-
-def glues(call: RenderCall) -> bool:
-    """True if random next hits of paths are fixed to surfaces, except after rough glass."""
-    return call.integrand.settings.sampling != "attached"
-
-
-def follows(call: RenderCall) -> bool:
-    """True if some random next hits of paths follow directions that carry derivatives."""
-    return not glues(call) or call.integrand.settings.following
-
-
-def sharp_lights_later(call: RenderCall) -> bool:
-    """True if lights without extent are sampled at second or later vertices of paths."""
-    settings, lights = call.integrand.settings, call.scene.layout.lights
-    return settings.nee and call.integrand.max_depth > 2 and any(kind.delta for kind in lights)

@@ -23,7 +23,7 @@ from torch_radbp.boundary.curve.term import LineNumbers
 from torch_radbp.boundary.eye.deposit import image_of
 from torch_radbp.boundary.eye.edge_tree import edge_tree
 from torch_radbp.boundary.eye.seen_edges import Casting
-from torch_radbp.boundary.terms.border import EdgesFromLights
+from torch_radbp.boundary.terms.lit_edges import EdgesFromLights
 from torch_radbp.boundary.terms.shadow_term import SHADOW_TERMS, ShadowSearch, terms_of
 from torch_radbp.boundary.terms.split import samples_of_view
 from torch_radbp.call.render_call import RenderCall

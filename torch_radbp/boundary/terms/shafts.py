@@ -29,10 +29,12 @@ from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numb
 from torch_radbp.boundary.eye.seen_on_film import aperture_of, camera_sample
 from torch_radbp.boundary.eye.slid import what_slides
 from torch_radbp.boundary.eye.viewpoints import PathBatch, Viewpoints, flown_along, path_of, vertex_at, viewpoints
-from torch_radbp.boundary.terms.border import EdgesFromLights, samples_of, share_of
+from torch_radbp.boundary.terms.border import share_of
+from torch_radbp.boundary.terms.call_traits import films_have_area, glues
 from torch_radbp.boundary.terms.covered_lights import Lights
+from torch_radbp.boundary.terms.lit_edges import EdgesFromLights, samples_of
 from torch_radbp.boundary.terms.shadow_sheets import SampledSheets, SheetPoints, sampled_sheets
-from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, films_have_area, glues, shadow_term
+from torch_radbp.boundary.terms.shadow_term import ShadowTerm, TermSize, shadow_term
 from torch_radbp.boundary.terms.spread_borders import spread_sheets
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import light_sent_back

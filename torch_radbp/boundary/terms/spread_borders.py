@@ -31,7 +31,7 @@ from torch_radbp.boundary.eye.seen_edges import (
     passed_at,
     point_of_edge,
 )
-from torch_radbp.boundary.terms.border import LitEdges
+from torch_radbp.boundary.terms.lit_edges import LitEdges
 from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.direct_light import LightDraw
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, extent_of

@@ -22,13 +22,16 @@ from torch import Tensor
 from torch_radbp.boundary.curve.contacts import resting_among
 from torch_radbp.boundary.curve.film_term import lanes
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of, positions
+from torch_radbp.boundary.curve.inner_lines import segment_place, segment_weight
 from torch_radbp.boundary.curve.places import Places, Sight, lot_of, on_film, sight_of
-from torch_radbp.boundary.curve.segments import place_of, segment_place, segment_weight
+from torch_radbp.boundary.curve.segments import place_of
 from torch_radbp.boundary.eye.light_points import light_line, light_points
 from torch_radbp.boundary.eye.seen_edges import BEFORE, BESIDE, FAR, crossed_at
 from torch_radbp.boundary.eye.seen_on_film import camera_sample, seen_at, sees
-from torch_radbp.boundary.terms.border import SHARE, samples_of
-from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, films_have_area, shadow_term
+from torch_radbp.boundary.terms.border import SHARE
+from torch_radbp.boundary.terms.call_traits import films_have_area
+from torch_radbp.boundary.terms.lit_edges import samples_of
+from torch_radbp.boundary.terms.shadow_term import CutOff, ShadowTerm, shadow_term
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.event import Ends
