@@ -14,6 +14,7 @@ import torch
 import torch_radbp as rb
 from tests.deep import deep, deep_but
 from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 from tests.scenes.media import (
@@ -115,16 +116,15 @@ def test_forward_mode_is_the_transpose_of_backward(compile):
 
 
 @pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
-@pytest.mark.parametrize("name, step", zip(NAMES[:6], (0.05, 0.1, 0.2, 0.05, 0.1, 0.1)))
-def test_derivatives_are_those_of_differences(name, step, bsdf):
+def test_derivatives_are_those_of_differences(bsdf):
     """Before a floor that sends light, in the mean over the image."""
     scene = load(torch.float64, camera=overhead(2, 4.0, 0.7),
                  floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
                  ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
                  core=ball(0.7, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)))
-    found = rb.check_gradient(scene, name, step=step, spp=1 << 14, max_depth=5, seed=3).comparison
-    wanted, error = found.difference.mean(), found.standard_error.square().sum().sqrt() / found.standard_error.numel()
-    assert 0 < error < 0.1 * wanted.abs() and (found.jvp.mean() - wanted).abs() < 4 * error
+    moves = [Move(name, step) for name, step in zip(NAMES[:6], (0.05, 0.1, 0.2, 0.05, 0.1, 0.1))]
+    for found in compared(scene, moves, spp=1 << 14, max_depth=5):
+        found.assert_agrees(0.1)
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
@@ -149,19 +149,16 @@ def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile):
 
 
 @pytest.mark.parametrize("depth", deep_but([3], [1, 3]))
-@pytest.mark.parametrize("name", ["ball.to_world", "core.to_world", "camera.to_world"])
-def test_derivatives_by_boundaries_that_move_are_those_of_differences(name, depth):
+def test_derivatives_by_boundaries_that_move_are_those_of_differences(depth):
     """Of light that passes them straight, and of light that is scattered; projected on the derivative itself."""
     scene = load(torch.float64, air=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4), camera=overhead(2, 4.0, 1.3),
                  floor=rectangle((0, 0, 0), 9.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
                  ball=ball(0.9, bsdf=NULL, interior={"type": "ref", "id": "air"}),
                  core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
                            exterior={"type": "ref", "id": "air"}))
-    found = rb.check_gradient(scene, name, step=0.05, spp=1 << 15, max_depth=depth, seed=3).comparison
-    along = found.jvp / found.jvp.norm()
-    error = float((found.standard_error * along).norm())
-    wanted = float((found.difference * along).sum())
-    assert 0 < error < 0.05 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error
+    moves = [Move(name, 0.05) for name in ("ball.to_world", "core.to_world", "camera.to_world")]
+    for found in compared(scene, moves, spp=1 << 15, along=True, max_depth=depth):
+        found.assert_agrees(0.05)
 
 
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
