@@ -1,4 +1,4 @@
-"""Runs a script of the documentation in its smallest form: few samples, pixels and steps, and without its last assertions.
+"""Runs a script of the documentation in its smallest form: few samples, pixels, bounces and steps, no last assertions.
 
 Renderers run in plain torch: for so few samples compiling takes longer than all the rest. Commands of `radbp` run in the
 process of the script.
@@ -30,6 +30,7 @@ RADBP = [sys.executable, "-m", "torch_radbp.training.cli"]
 OUTPUT = "output.txt"  # in the folder of a script
 MOST = {"spp": 2, "resolution": 24, "width": 24, "height": 24, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
+BOUNCES = 3  # of all renderers
 
 
 class Smallest(ast.NodeTransformer):
@@ -98,6 +99,13 @@ def run_command(command: Sequence[object], *, check: bool = False, **settings) -
 def run_script(script: Path) -> None:
     """Runs a script in its smallest form."""
     rb.Renderer.runs_compiled = lambda renderer: False
+    make = rb.Renderer.__init__
+
+    def make_smallest(renderer, *arguments, **settings) -> None:
+        make(renderer, *arguments, **settings)
+        renderer.max_depth = min(BOUNCES, renderer.max_depth % 1000)  # -1: without end
+
+    rb.Renderer.__init__ = make_smallest
     subprocess.run = run_command
     exec(compile(smallest(script.read_text(encoding="utf-8")), str(script), "exec"), {"__name__": "__main__"})
 

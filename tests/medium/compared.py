@@ -51,14 +51,15 @@ class Compared(NamedTuple):
         assert abs(self.error) < farthest * noise, (self.name, wanted, self.error / noise)
 
 
-def compared(scene: rb.Scene, moves: Sequence[Move], spp: int, *, seed: int = 3, batches: int = BATCHES,
-             along: bool = False, **settings) -> list[Compared]:
+def compared(scene: rb.Scene, moves: Sequence[Move], spp: int, *, gradient_spp: int | None = None, seed: int = 3,
+             batches: int = BATCHES, along: bool = False, **settings) -> list[Compared]:
     """Compares derivatives of the mean of an image by some moves of parameters.
 
     Args:
         scene: nothing but these parameters will require a gradient.
         moves: of one parameter or of several.
-        spp: samples per pixel of all batches, of the gradients and of each image of the differences.
+        spp: samples per pixel of all batches, of each image of the differences.
+        gradient_spp: of the gradients; None: as many.
         seed: of the random numbers; no two batches share any, but the images of one difference do.
         batches: independent repetitions.
         along: of the image's product with its own derivative, by differences of a batch more, in the place of the mean:
@@ -76,7 +77,7 @@ def compared(scene: rb.Scene, moves: Sequence[Move], spp: int, *, seed: int = 3,
                for each in images]
     gradients: list[list[Tensor]] = [[] for _ in moves]
     for number in seeds[batches + 1:]:
-        image = renderer(seed=number)
+        image = renderer(seed=number, spp=-(-(gradient_spp or spp) // batches))
         for move, place, weight, found in zip(moves, places, weights, gradients):
             gradient, = torch.autograd.grad(image, leaves[move.name], weight.to(image), retain_graph=True)
             found.append((gradient * place.direction).sum())

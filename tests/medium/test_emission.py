@@ -86,7 +86,7 @@ def both(kind: str) -> list[str]:
 
 
 @pytest.mark.parametrize("compile, kind", [
-    (False, "heterogeneous"), deep(False, "homogeneous"), (True, "heterogeneous"), (True, "homogeneous")])
+    deep(False, "heterogeneous"), (False, "homogeneous"), (True, "heterogeneous"), deep(True, "homogeneous")])
 def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, kind):
     names, scene = both(kind), room(flame(kind=kind))
     image, expected = image_and_gradients(scene, names, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
@@ -106,7 +106,7 @@ def test_forward_mode_is_the_transpose_of_backward(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
-@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
+@pytest.mark.parametrize("compile", [pytest.param(False, id="eager"), deep(True, id="compiled")])
 def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, sampling, kind):
     names, settings = [*MOVING, *both(kind)[:3]], SETTINGS | {"sampling": sampling}
     scene = room(flame(kind=kind), half=0.9)
@@ -196,11 +196,15 @@ def test_derivatives_are_those_of_the_closed_form(kind, emission, sigma):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_differences(kind):
-    """By emission, extinction, albedo and scale, of light that is scattered on its way, too."""
-    moves = [Move(name, step) for name, step in zip(both(kind), (0.3, 0.1, 0.1, 0.3))]
-    for found in compared(alone(flame(kind=kind)), moves, spp=1 << 14, along=True, max_depth=4):
-        found.assert_agrees(0.1)
+@pytest.mark.parametrize("number, step", zip(range(4), (0.3, 0.1, 0.1, 0.3)),
+                         ids=["emission", "extinction", "albedo", "scale"])
+def test_derivatives_are_those_of_differences(number, step, kind):
+    """Of light that is scattered on its way, too; along the derivative of the image, which differences tell well enough."""
+    scene, name = alone(flame(kind=kind)), both(kind)[number]
+    found = rb.check_gradient(scene, name, step=step, spp=1 << 14, max_depth=4, seed=3).comparison
+    along = found.jvp / found.jvp.norm()
+    error, wanted = float((found.standard_error * along).norm()), float((found.difference * along).sum())
+    assert 0 < error < 0.1 * abs(wanted) and abs(float((found.jvp * along).sum()) - wanted) < 4 * error, (error, wanted)
 
 
 def test_derivatives_by_what_moves_are_those_of_differences():
@@ -222,7 +226,7 @@ def test_derivatives_by_what_moves_are_those_of_differences():
                  core={"type": "cube", "to_world": inner, "bsdf": NULL, "interior": dust,
                        "exterior": {"type": "ref", "id": "fog"}})
     moves = [Move("box.to_world", 0.05), Move("core.to_world", 0.05), Move("camera.to_world", 0.02)]
-    for found in compared(scene, moves, spp=1 << 15, along=True, max_depth=3):
+    for found in compared(scene, moves, spp=1 << 13, along=True, max_depth=3):
         found.assert_agrees(0.1)
 
 
