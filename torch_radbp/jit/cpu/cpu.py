@@ -37,7 +37,7 @@ class Cpu:
 
     Args:
         width: lanes in a block; None: those of a vector of the processor, of float64 if there are results of that. A search
-            waits for one entry after the other, and two vectors wait together: float32 takes two where it searches.
+            waits for one entry after the other, and two vectors wait together: programs take two where they search.
     """
 
     counts_stay = loads_ahead = repeats = False
@@ -105,9 +105,9 @@ def loop_module(body: Body, width: int) -> str:
 
 def block_width(program: Program) -> int:
     """The number of lanes in a block; see `Cpu`."""
-    if any(value is not None and value.dtype == torch.float64 for value in program.outputs):
-        return host_width() // 2  # of twice as many, LLVM would split every instruction, which takes it half as long again
-    return 2 * host_width() if program.searched else host_width()
+    in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
+    # LLVM splits every instruction for more lanes than a vector has, and takes half as long again.
+    return host_width() // (2 if in_double else 1) * (2 if program.searched else 1)
 
 
 def pointers(program: Program, outputs: int) -> Iterator[str]:
