@@ -54,6 +54,14 @@ def fingerprint(*things: Any) -> str:
     Raises:
         Opaque: if they reach something whose meaning cannot be told, such as a lock.
     """
+    return hashlib.sha256("\n".join(definitions_reached(*things)[0]).encode()).hexdigest()
+
+
+def definitions_reached(*things: Any) -> tuple[list[str], list[Any]]:
+    """The text of things and of all that they reach, a line for each, and the functions, classes and objects among these.
+
+    Args and Raises as for `fingerprint`.
+    """
     named: list[Any] = []
     numbers: dict[int, int] = {}  # of these, by identity
 
@@ -69,7 +77,7 @@ def fingerprint(*things: Any) -> str:
         lines.append(line(definition(thing)))
         if len(lines) > MOST:
             raise Opaque(f"more than {MOST} functions and classes")
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return lines, named
 
 
 class Definition(NamedTuple):
@@ -99,7 +107,7 @@ def definition(thing: Any) -> Definition:
     """
     if not isinstance(thing, (FunctionType, type)):
         return DefinitionReader().told(lambda reader: reader.object(thing))
-    parts = named_by(thing) if isinstance(thing, FunctionType) else attributes_of(thing)
+    parts = mentioned_by(thing) if isinstance(thing, FunctionType) else meaningful_attributes(thing)
     names, values = tuple(parts), tuple(parts.values())
     known = _remembered.get(id(thing))
     if known is not None and known.names == names and all(map(operator.is_, known.values, values)):
@@ -111,7 +119,7 @@ def definition(thing: Any) -> Definition:
     return found
 
 
-def named_by(function: FunctionType) -> dict[str, Any]:
+def mentioned_by(function: FunctionType) -> dict[str, Any]:
     """A function's code and all that it refers to."""
     code = function.__code__
     if hasattr(function, "__wrapped__"):  # told by what it does with the function, but not what it remembers of it
@@ -139,7 +147,7 @@ def named_by(function: FunctionType) -> dict[str, Any]:
     return found
 
 
-def attributes_of(thing: type) -> dict[str, Any]:
+def meaningful_attributes(thing: type) -> dict[str, Any]:
     """A class's bases, and its attributes that change what functions compute."""
     bound = (FunctionType, property, functools.cached_property) if issubclass(thing, torch.nn.Module) else ()
     found = {name: part for name, part in vars(thing).items() if name not in ASIDE and not isinstance(part, bound)}
@@ -219,11 +227,11 @@ class DefinitionReader:
         return f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', None)}"
 
     def function(self, function: FunctionType, parts: dict[str, Any]) -> str:
-        """The text of a function by what `named_by` tells."""
+        """The text of a function by what `mentioned_by` tells."""
         return f"function {self.full_name(function)} {self.listed(parts)}: {self.listed(parts.values())}"
 
     def type(self, thing: type, parts: dict[str, Any]) -> str:
-        """The text of a class by what `attributes_of` tells."""
+        """The text of a class by what `meaningful_attributes` tells."""
         return f"class {self.full_name(thing)} {self.listed(parts)}: {self.listed(parts.values())}"
 
     def object(self, thing: Any) -> str:
