@@ -121,9 +121,10 @@ def two_panes() -> rb.Scene:
 DOWN = (2, 3)  # of a pose
 MOVES = {  # parameters, entries of them that move, and how far; by scenes, of which each is rendered for all at once
     "glass before a spot": (lambda: plate(SPOT), [
-        ("glass.to_world", DOWN, 0.01), ("glass.bsdf.eta", (), 0.01), ("glass.bsdf.specular_transmittance.value", (), 0.05),
-        ("lamp.to_world", DOWN, 0.01), ("lamp.intensity.value", (1,), 0.5), ("floor.to_world", DOWN, 0.01),
-        ("floor.bsdf.reflectance.value", (2,), 0.05), ("camera.to_world", (0, 0), 0.01)]),
+        ("glass.to_world", DOWN, 0.01), ("glass.bsdf.eta", (), 0.01), ("camera.to_world", (0, 0), 0.01)]),
+    "spot before glass": (lambda: plate(SPOT), [
+        ("glass.bsdf.specular_transmittance.value", (), 0.05), ("lamp.to_world", DOWN, 0.01),
+        ("lamp.intensity.value", (1,), 0.5), ("floor.to_world", DOWN, 0.01), ("floor.bsdf.reflectance.value", (2,), 0.05)]),
     "width of a spot": (lambda: plate(SPOT | {"cutoff_angle": 14.0}), [("lamp.cutoff_angle", (), 0.5)]),
     "glass before a panel": (lambda: plate(PANEL), [
         ("lamp.to_world", DOWN, 0.02), ("lamp.to_world", (0, 0), 0.02), ("lamp.emitter.radiance.value", (0,), 0.5),
@@ -136,9 +137,9 @@ MOVES = {  # parameters, entries of them that move, and how far; by scenes, of w
     "glass around a bulb": (bulb_in_a_ball, [
         ("glass.to_world", DOWN, 0.01), ("glass.to_world", (2, 2), 0.01), ("lamp.position", (2,), 0.01),
         ("glass.bsdf.eta", (), 0.01), ("floor.to_world", DOWN, 0.01)]),
-    "ball below a bulb": (ball_below_a_bulb, [
-        ("glass.to_world", DOWN, 0.01), ("glass.to_world", (0, 3), 0.005), ("glass.to_world", (2, 2), 0.01),
-        ("glass.bsdf.eta", (), 0.01), ("lamp.position", (2,), 0.01)]),
+    "ball below a bulb": (ball_below_a_bulb, [("glass.to_world", DOWN, 0.01), ("glass.bsdf.eta", (), 0.01)]),
+    "bulb above a ball": (ball_below_a_bulb, [
+        ("glass.to_world", (0, 3), 0.005), ("glass.to_world", (2, 2), 0.01), ("lamp.position", (2,), 0.01)]),
     "mirror over a bulb": (bulb_below_a_mirror, [
         ("mirror.to_world", DOWN, 0.01), ("mirror.to_world", (2, 2), 0.01), ("lamp.position", (2,), 0.01)]),
     "glass on water": (two_panes, [

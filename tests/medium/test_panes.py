@@ -321,7 +321,8 @@ def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, mo
         direction = torch.zeros(4, 4)
         direction[entry] = 1.0
         moves.append(Move(name, step, direction))
-    for found in compared(scene, moves, spp=3 << 17, batches=48, along=True, max_depth=3, terms=("interior",)):
+    batches = 48 if half > 3.0 else 32  # fog has more noise
+    for found in compared(scene, moves, spp=batches << 13, batches=batches, along=True, max_depth=3, terms=("interior",)):
         found.assert_agrees(0.06, 3.5)
 
 
