@@ -13,7 +13,7 @@ SIZE = 32, 65  # pixels a side and samples, more than sequences with memory of t
 MOVING = RecordSizes(52, 44, 22, 92)
 
 
-@pytest.mark.parametrize("name", deep_but(["cornell-box", "metal-mesh"], SCENES))
+@pytest.mark.parametrize("name", deep_but(["cornell-box"], SCENES))
 def test_a_path_carries_few_bytes_and_memory_is_planned_closely(name):
     """A state is a ray, throughput, density, two random keys and a place; keys are not kept, origins only where something
     moves. Of a bounce stay hit, order and two flags."""

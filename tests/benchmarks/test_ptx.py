@@ -29,6 +29,7 @@ def check(scene: str, sampling: str, architectures) -> set[str]:
     return found
 
 
+@pytest.mark.deep
 def test_kernels_of_a_room_with_networks_are_assembled():
     assert {"bounce", "bounce_adjoint", "places", "rows"} <= check("networks", "hybrid", ARCHITECTURES[-1:])
 

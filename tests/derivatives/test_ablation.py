@@ -3,8 +3,11 @@
 Reference: Worchel et al. 2025, arXiv 2504.05750.
 """
 
+from itertools import product
+
 import pytest
 
+from tests.deep import deep
 from tests.derivatives.ablation import WITHOUT, without
 from tests.derivatives.in_expectation import Effort, Estimate
 from tests.scenes.moving import SCENES
@@ -12,10 +15,12 @@ from tests.scenes.moving import SCENES
 EFFORT = {"nothing": Effort(spp=256, batches=8)}  # so much that a bias of 5% would be noticed
 ROUGH_EFFORT = Effort(spp=64, batches=8)
 SCENES_OF_THE_TEST = ("wall behind the camera", "plane under a soft lamp")
+QUICK = (("wall behind the camera", "nothing"), ("wall behind the camera", "the area Jacobian"),
+         ("plane under a soft lamp", "nothing"), ("plane under a soft lamp", "re-attached directions"))
 
 
-@pytest.mark.parametrize("name", SCENES_OF_THE_TEST)
-@pytest.mark.parametrize("what", WITHOUT)
+@pytest.mark.parametrize("name, what", [
+    case if case in QUICK else deep(*case) for case in product(SCENES_OF_THE_TEST, WITHOUT)])
 def test_each_part_is_needed(name, what):
     with without(*WITHOUT[what]):
         estimate = Estimate(SCENES[name]._replace(samplings=("hybrid",)), EFFORT.get(what, ROUGH_EFFORT))

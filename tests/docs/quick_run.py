@@ -1,20 +1,36 @@
-"""Runs a script of the documentation in its smallest form: few samples, pixels and steps, and without its last assertions.
+"""Runs a script of the documentation in its smallest form: few samples, pixels, bounces and steps, no last assertions.
 
-Renderers run in plain torch: for so few samples compiling takes longer than all the rest.
+Renderers run in plain torch: for so few samples compiling takes longer than all the rest. Commands of `radbp` run in the
+process of the script.
 
     python -m tests.docs.quick_run docs/tutorials/01_first_gradient.py
+    python -m tests.docs.quick_run     # for each line of JSON with a script and a folder a fork; prints exit statuses
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
+import io
+import json
+import os
+import subprocess
 import sys
+import traceback
+from collections.abc import Sequence
 from pathlib import Path
 
-import torch_radbp as rb
+import matplotlib.pyplot  # noqa: F401 (what scripts import, once for all)
+import trimesh.creation  # noqa: F401
 
+import torch_radbp as rb
+from torch_radbp.training import cli
+
+RADBP = [sys.executable, "-m", "torch_radbp.training.cli"]
+OUTPUT = "output.txt"  # in the folder of a script
 MOST = {"spp": 2, "resolution": 24, "width": 24, "height": 24, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
+BOUNCES = 3  # of all renderers
 
 
 class Smallest(ast.NodeTransformer):
@@ -67,7 +83,56 @@ def smallest(source: str) -> ast.Module:
     return ast.fix_missing_locations(Smallest().visit(tree))
 
 
-if __name__ == "__main__":
-    script = Path(sys.argv[1])
+def run_command(command: Sequence[object], *, check: bool = False, **settings) -> subprocess.CompletedProcess:
+    """`subprocess.run` of a command of `radbp`, in this process."""
+    words, said, status = list(map(str, command)), io.StringIO(), 0
+    assert words[:len(RADBP)] == RADBP, words
+    with contextlib.redirect_stdout(said):
+        try:
+            cli.app(words[len(RADBP):])
+        except SystemExit as end:
+            status = end.code or 0
+    assert not check or status == 0, said.getvalue()
+    return subprocess.CompletedProcess(words, status, said.getvalue(), "")
+
+
+def run_script(script: Path) -> None:
+    """Runs a script in its smallest form."""
     rb.Renderer.runs_compiled = lambda renderer: False
+    make = rb.Renderer.__init__
+
+    def make_smallest(renderer, *arguments, **settings) -> None:
+        make(renderer, *arguments, **settings)
+        renderer.max_depth = min(BOUNCES, renderer.max_depth % 1000)  # -1: without end
+
+    rb.Renderer.__init__ = make_smallest
+    subprocess.run = run_command
     exec(compile(smallest(script.read_text(encoding="utf-8")), str(script), "exec"), {"__name__": "__main__"})
+
+
+def run_forked(script: Path, folder: Path) -> int:
+    """Runs a script in a fork of this process, in a folder that gets its output; returns the exit status."""
+    process = os.fork()
+    if process == 0:
+        os.chdir(folder)
+        file = os.open(OUTPUT, os.O_WRONLY | os.O_CREAT)
+        os.dup2(file, 1)
+        os.dup2(file, 2)
+        status = 1
+        try:
+            run_script(script)
+            status = 0
+        except BaseException:  # also of `sys.exit`
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(status)
+    return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        run_script(Path(sys.argv[1]))
+    for line in [] if sys.argv[1:] else sys.stdin:
+        print(run_forked(*map(Path, json.loads(line))), flush=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -15,6 +16,7 @@ import torch_radbp as rb
 from tests.deep import deep
 
 ROOT = Path(__file__).parents[2]
+OUTPUT = "output.txt"  # as `quick_run` calls it
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("[0-9]*.py"))
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MODULES = {"bake", "losses", "optim", "priors"}  # public modules
@@ -84,16 +86,36 @@ def test_a_tutorial_uses_public_names_only(tutorial):
 SCRIPTS = [(deep if path.stem in SLOW else pytest.param)(path, id=path.stem) for path in (*TUTORIALS, *EXAMPLES)]
 
 
+@pytest.fixture(scope="module")
+def run_smallest():
+    """Runs a script in its smallest form in a folder, in a process that has imported what scripts import, if it can fork."""
+    def alone(script: Path, folder: Path) -> None:
+        run("-m", "tests.docs.quick_run", script, cwd=folder)
+
+    if not hasattr(os, "fork"):
+        yield alone
+        return
+    with subprocess.Popen([sys.executable, "-m", "tests.docs.quick_run"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                          text=True, cwd=ROOT, env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}) as process:
+        def forked(script: Path, folder: Path) -> None:
+            process.stdin.write(json.dumps([str(script), str(folder)]) + "\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == "0\n", (folder / OUTPUT).read_text(errors="replace")
+
+        yield forked
+        process.stdin.close()
+
+
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_runs_in_its_smallest_form(script, tmp_path):
-    run("-m", "tests.docs.quick_run", script, cwd=tmp_path)
+def test_a_script_runs_in_its_smallest_form(script, run_smallest, tmp_path):
+    run_smallest(script, tmp_path)
 
 
-def test_the_first_example_of_readme_runs_in_its_smallest_form(tmp_path):
+def test_the_first_example_of_readme_runs_in_its_smallest_form(run_smallest, tmp_path):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     example, = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (tmp_path / "example.py").write_text(example)
-    run("-m", "tests.docs.quick_run", "example.py", cwd=tmp_path)
+    run_smallest("example.py", tmp_path)
 
 
 @pytest.mark.deep

@@ -84,7 +84,7 @@ def test_forward_is_the_transpose_of_backward_under_an_emitter(kind):
     assert_transposed(lambda: scene_of(kind), names, **SETTINGS | {"spp": 16})
 
 
-@pytest.mark.parametrize("kind", deep_but_every(2, MATERIALS))
+@pytest.mark.parametrize("kind", deep_but_every(4, MATERIALS))
 def test_forward_is_the_transpose_of_backward_on_a_material(kind):
     def described(material):
         """A dict of a scene: nested materials are children with names of their own."""

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from torch_radbp.jit.dual import with_tangents
-from torch_radbp.jit.store.fingerprint import Opaque, fingerprint
+from torch_radbp.jit.store.fingerprint import DefinitionReader, Opaque, fingerprint
 
 MODULE = """
 import math
@@ -104,6 +104,36 @@ def test_what_is_exchanged_while_the_program_runs_counts(written):
             patch.setattr(owner, name, value)
             assert fingerprint(outer) != before, name
     assert fingerprint(outer) == before
+
+
+def test_what_is_changed_in_place_counts(written):
+    outer = written()
+    before, module = fingerprint(outer), sys.modules["told"]
+
+    def keyword_default(value):
+        module.inner.__kwdefaults__ = {"z": value}
+
+    changes = (lambda: module.TABLE["a"].append(4.0), lambda: setattr(module.inner, "__defaults__", (3,)),
+               lambda: keyword_default(1), lambda: keyword_default(2),
+               lambda: setattr(module.inner, "__code__", (lambda x, y: y).__code__), lambda: setattr(module.Kind, "more", 1))
+    found = [before]
+    for change in changes:
+        change()
+        found.append(fingerprint(outer))
+    assert len(set(found)) == len(found)
+
+
+def test_functions_and_classes_are_read_once(written, monkeypatch):
+    outer, read = written(), []
+    for name in ("function", "type"):
+        tell = getattr(DefinitionReader, name)
+        monkeypatch.setattr(DefinitionReader, name, lambda reader, thing, parts, tell=tell: read.append(thing.__name__)
+                            or tell(reader, thing, parts))
+    fingerprint(outer)
+    assert {"outer", "inner", "Pair", "Special", "helped"} <= {*read}
+    read.clear()
+    fingerprint(outer)
+    assert read == ["inner"]  # which reads a dict, whose contents may be others
 
 
 def test_it_is_the_same_in_another_process_whatever_was_run_before():

@@ -17,7 +17,7 @@ from tests.scenes.everything import EVERYTHING, build_everything
 from torch_radbp.jit.arguments import Arguments
 from torch_radbp.jit.compiled import code_name
 from torch_radbp.jit.stages import CompiledStages
-from torch_radbp.jit.store.fingerprint import DefinitionReader
+from torch_radbp.jit.store.fingerprint import definitions_reached
 from torch_radbp.jit.target import target_of
 from torch_radbp.tensors import torch_internals
 
@@ -50,11 +50,8 @@ def codes(code: CodeType) -> set[CodeType]:
 
 def told(*things) -> set[CodeType]:
     """The functions that a fingerprint depends on."""
-    reader = DefinitionReader()
-    reader.words(things)
-    for thing in reader.named:
-        reader.definition(thing)
-    return set().union(*(codes(thing.__code__) for thing in reader.named if isinstance(thing, FunctionType)))
+    _, named = definitions_reached(*things)
+    return set().union(*(codes(thing.__code__) for thing in named if isinstance(thing, FunctionType)))
 
 
 @pytest.mark.parametrize("name, sampling", [("textures", "hybrid"), deep("materials", "attached"),

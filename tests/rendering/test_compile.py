@@ -80,7 +80,7 @@ def no_mirrors(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
 @pytest.mark.parametrize("sampling", ["hybrid", deep("attached")])
-@pytest.mark.parametrize("name", deep_but(["textures"], EVERYTHING))
+@pytest.mark.parametrize("name", deep_but(["fog"], EVERYTHING))
 def test_forward_mode_of_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling, no_mirrors):
     settings, found = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling}, []
     for compile in (False, True):

@@ -99,7 +99,7 @@ NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
-@pytest.mark.parametrize("name", deep_but(["textures", "networks"], SCENES))
+@pytest.mark.parametrize("name", deep_but(["networks"], SCENES))
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())

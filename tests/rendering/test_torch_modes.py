@@ -134,13 +134,19 @@ def test_gradients_of_all_parameters_ignore_autocast(name):
         assert same(gradients(scene, adjoint, **settings), expected)
 
 
+TANGENTS = {"box.to_world": torch.ones(4, 4), "floor.bsdf.reflectance.data": torch.ones(3, 4, 3)}
+
+
+@pytest.fixture(scope="module")
+def expected_derivative() -> Tensor:
+    return rb.jvp(lit_room(), TANGENTS, seed=1, **SETTINGS)
+
+
 @pytest.mark.parametrize("mode", MODES)
-def test_derivative_images_are_the_same(mode):
-    tangents = {"box.to_world": torch.ones(4, 4), "floor.bsdf.reflectance.data": torch.ones(3, 4, 3)}
-    expected = rb.jvp(lit_room(), tangents, seed=1, **SETTINGS)
-    scene = lit_room()
+def test_derivative_images_are_the_same(mode, expected_derivative):
+    scene, expected = lit_room(), expected_derivative
     with MODES[mode]():
-        found = rb.jvp(scene, tangents, seed=1, **SETTINGS)
+        found = rb.jvp(scene, TANGENTS, seed=1, **SETTINGS)
     assert expected.abs().max() > 0 and torch.equal(found, expected) and found.dtype == expected.dtype
 
 
@@ -160,13 +166,18 @@ def expected_check() -> str:
     return check(cornell(torch.float32, 2))
 
 
+@pytest.fixture(scope="module")
+def expected_plan() -> tuple[Any, Tensor]:
+    renderer = rb.Renderer(lit_room(), memory_budget="64MiB", **SETTINGS)
+    return renderer.memory_plan(), renderer(seed=2)
+
+
 @pytest.mark.parametrize("mode", MODES)
-def test_plans_and_calls_within_a_memory_budget_are_the_same(mode):
-    expected = rb.Renderer(lit_room(), memory_budget="64MiB", **SETTINGS)
+def test_plans_and_calls_within_a_memory_budget_are_the_same(mode, expected_plan):
     renderer = rb.Renderer(lit_room(), memory_budget="64MiB", **SETTINGS)
     with MODES[mode]():
-        assert renderer.memory_plan() == expected.memory_plan()
-        assert torch.equal(renderer(seed=2), expected(seed=2))
+        assert renderer.memory_plan() == expected_plan[0]
+        assert torch.equal(renderer(seed=2), expected_plan[1])
 
 
 @pytest.mark.parametrize("mode", [name for name in MODES if not name.startswith("default dtype")])

@@ -9,7 +9,7 @@ from torch.func import functional_call
 
 import torch_radbp as rb
 from tests.allocated import allocated
-from tests.deep import deep_but_every
+from tests.deep import deep, deep_but_every
 from tests.gradients import MEMOIZED, QUADRATIC, assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import SKY, load, rectangle, sensor
 from tests.scenes.networks import LAMP, mlp, room, textured
@@ -56,9 +56,13 @@ def test_a_module_that_computes_a_bitmap_looks_like_it():
     assert relative_error(image, expected) < 1e-6  # the bitmap is float32
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("names", [WEIGHTS, [*WEIGHTS, *MOVING]], ids=["weights", "and geometry"])
+GEOMETRY = [*WEIGHTS, *MOVING]
+
+
+@pytest.mark.parametrize("names, sampling, compile", [
+    (WEIGHTS, "hybrid", False), (WEIGHTS, "hybrid", True), (GEOMETRY, "attached", True), deep(GEOMETRY, "hybrid", True),
+    deep(GEOMETRY, "hybrid", False), *(deep(WEIGHTS, "attached", compile) for compile in (False, True)),
+    deep(GEOMETRY, "attached", False)], ids=lambda value: "" if isinstance(value, list) else str(value))
 def test_every_strategy_gives_the_gradient_of_the_tape(names, sampling, compile):
     settings = SETTINGS | {"sampling": sampling}
     reference, expected = image_and_gradients(room(), names, adjoint=rb.TapeAdjoint(), **settings)

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import MEMOIZED, QUADRATIC, assert_informative, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.networks import WHITE, Function, bright, lit_room, mlp, shining
@@ -72,9 +73,13 @@ def test_lamps_of_modules_and_of_tables_light_the_scene_side_by_side():
     assert relative_error(sum(alone), both) < 1e-12 and all(float(image.max()) > 0 for image in alone)
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("names", [WEIGHTS, [*WEIGHTS, *MOVING]], ids=["weights", "and geometry"])
+GEOMETRY = [*WEIGHTS, *MOVING]
+
+
+@pytest.mark.parametrize("names, sampling, compile", [
+    (WEIGHTS, "hybrid", False), (WEIGHTS, "hybrid", True), (GEOMETRY, "attached", True), deep(GEOMETRY, "hybrid", True),
+    deep(GEOMETRY, "hybrid", False), *(deep(WEIGHTS, "attached", compile) for compile in (False, True)),
+    deep(GEOMETRY, "attached", False)], ids=lambda value: "" if isinstance(value, list) else str(value))
 def test_every_strategy_gives_the_gradient_of_the_tape(names, sampling, compile):
     settings = SETTINGS | {"sampling": sampling}
     reference, expected = image_and_gradients(lit_room(), names, adjoint=rb.TapeAdjoint(), **settings)

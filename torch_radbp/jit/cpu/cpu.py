@@ -36,8 +36,8 @@ class Cpu:
     """The CPU of this machine as a target.
 
     Args:
-        width: lanes in a block; None: those of a float32 vector of the processor, of which float64 takes two. A search
-            waits for one entry after the other, and two vectors wait together: float32 takes two too where it searches.
+        width: lanes in a block; None: those of a vector of the processor, of float64 if there are results of that. A search
+            waits for one entry after the other, and two vectors wait together: programs take two where they search.
     """
 
     counts_stay = loads_ahead = repeats = False
@@ -47,7 +47,7 @@ class Cpu:
 
     def text(self, program: Program) -> str:
         """The LLVM IR of a program."""
-        width = self.width or host_width() * vectors(program)
+        width = self.width or block_width(program)
         return loop_module(emit(program, width, window_of(host_features()), fuses(host_features())), width)
 
     @property
@@ -103,10 +103,11 @@ def loop_module(body: Body, width: int) -> str:
         *([DECLARATION] if width > 1 else []), ""])
 
 
-def vectors(program: Program) -> int:
-    """The number of float32 vectors per block; see `Cpu`."""
+def block_width(program: Program) -> int:
+    """The number of lanes in a block; see `Cpu`."""
     in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
-    return 2 if program.searched and not in_double else 1
+    # LLVM splits every instruction for more lanes than a vector has, and takes half as long again.
+    return host_width() // (2 if in_double else 1) * (2 if program.searched else 1)
 
 
 def pointers(program: Program, outputs: int) -> Iterator[str]:

@@ -14,13 +14,14 @@ from __future__ import annotations
 import enum
 import functools
 import hashlib
+import operator
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from pathlib import PurePath
 from types import CodeType, FunctionType, MethodType, ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy
 import torch
@@ -29,6 +30,7 @@ from torch import Tensor
 LIBRARIES = frozenset({*sys.stdlib_module_names, "torch", "numpy", "llvmlite", "typing_extensions"})
 PLAIN = frozenset({type(None), bool, int, complex, str, bytes, range, slice, type(...), type(NotImplemented), torch.dtype,
                    torch.device})
+CHANGING = frozenset({list, dict, set})  # whose contents may become others
 # What Python keeps in a class for itself, and what does not change what its functions compute.
 ASIDE = frozenset({
     "__doc__", "__module__", "__qualname__", "__dict__", "__weakref__", "__annotations__", "__annotate_func__",
@@ -52,28 +54,125 @@ def fingerprint(*things: Any) -> str:
     Raises:
         Opaque: if they reach something whose meaning cannot be told, such as a lock.
     """
-    reader = DefinitionReader()
-    lines = [reader.words(things)]
-    for thing in reader.named:  # grows meanwhile
-        lines.append(reader.definition(thing))
+    return hashlib.sha256("\n".join(definitions_reached(*things)[0]).encode()).hexdigest()
+
+
+def definitions_reached(*things: Any) -> tuple[list[str], list[Any]]:
+    """The text of things and of all that they reach, a line for each, and the functions, classes and objects among these.
+
+    Args and Raises as for `fingerprint`.
+    """
+    named: list[Any] = []
+    numbers: dict[int, int] = {}  # of these, by identity
+
+    def line(defined: Definition) -> str:
+        """A text whose references are numbers, by the order in which they are met first."""
+        for thing in defined.references:
+            if numbers.setdefault(id(thing), len(named)) == len(named):
+                named.append(thing)
+        return f"{defined.digest} {[numbers[id(thing)] for thing in defined.references]}"
+
+    lines = [line(DefinitionReader().told(lambda reader: reader.words(things)))]
+    for thing in named:  # grows meanwhile
+        lines.append(line(definition(thing)))
         if len(lines) > MOST:
             raise Opaque(f"more than {MOST} functions and classes")
-    return hashlib.sha256("\n".join(lines).encode(errors="surrogatepass")).hexdigest()
+    return lines, named
+
+
+class Definition(NamedTuple):
+    """The text of a thing, in which other functions, classes and objects stand without their contents."""
+
+    digest: str  # of the text
+    references: tuple[Any, ...]  # to others, in their order
+    lasting: bool  # whether the same text would be found as long as all that it was read from is the same object
+
+
+class Remembered(NamedTuple):
+    """The definition of a function or class, and what it was read from."""
+
+    thing: Any  # kept alive, so that no other has its identity
+    names: tuple[str, ...]
+    values: tuple[Any, ...]
+    definition: Definition
+
+
+_remembered: dict[int, Remembered] = {}  # by identity
+
+
+def definition(thing: Any) -> Definition:
+    """The definition of a function, class or object; of the former two that of before, if all they name is the same.
+
+    Most functions are reached from many others, and nothing of most is exchanged while the program runs.
+    """
+    if not isinstance(thing, (FunctionType, type)):
+        return DefinitionReader().told(lambda reader: reader.object(thing))
+    parts = mentioned_by(thing) if isinstance(thing, FunctionType) else meaningful_attributes(thing)
+    names, values = tuple(parts), tuple(parts.values())
+    known = _remembered.get(id(thing))
+    if known is not None and known.names == names and all(map(operator.is_, known.values, values)):
+        return known.definition
+    found = DefinitionReader().told(lambda reader: reader.function(thing, parts) if isinstance(thing, FunctionType)
+                                    else reader.type(thing, parts))
+    if found.lasting:
+        _remembered[id(thing)] = Remembered(thing, names, values, found)
+    return found
+
+
+def mentioned_by(function: FunctionType) -> dict[str, Any]:
+    """A function's code and all that it refers to."""
+    code = function.__code__
+    if hasattr(function, "__wrapped__"):  # told by what it does with the function, but not what it remembers of it
+        return {"(wrapped)": function.__wrapped__, "(code)": code}
+    known, found = function.__globals__, {}
+    mentioned = names(code)
+    for name in mentioned:
+        if name in known:
+            found[name] = known[name]
+        elif name in sys.modules and not is_library(name):  # imported inside
+            found[name] = sys.modules[name]
+    for module in [value for value in found.values() if isinstance(value, ModuleType)]:
+        if not is_library(module.__name__):
+            found |= {f"{module.__name__}.{name}": vars(module)[name] for name in mentioned if name in vars(module)}
+    found["(code)"] = code
+    for number, value in enumerate(function.__defaults__ or ()):
+        found[f"(default {number})"] = value
+    for name, value in (function.__kwdefaults__ or {}).items():
+        found[f"(default {name})"] = value
+    for number, cell in enumerate(function.__closure__ or ()):
+        try:
+            found[f"(closure {number})"] = cell.cell_contents
+        except ValueError:  # empty so far
+            found[f"(closure {number})"] = None
+    return found
+
+
+def meaningful_attributes(thing: type) -> dict[str, Any]:
+    """A class's bases, and its attributes that change what functions compute."""
+    bound = (FunctionType, property, functools.cached_property) if issubclass(thing, torch.nn.Module) else ()
+    found = {name: part for name, part in vars(thing).items() if name not in ASIDE and not isinstance(part, bound)}
+    defaults = found.pop("_field_defaults", {})  # of a NamedTuple
+    return (found | {f"(default {name})": value for name, value in defaults.items()}
+            | {f"(base {number})": base for number, base in enumerate(thing.__bases__)})
 
 
 class DefinitionReader:
-    """Describes things in text. Functions, classes and objects are referred to by number, and defined once."""
+    """Describes a thing in text; notes to which functions, classes and objects it refers."""
 
     def __init__(self) -> None:
-        self.named: list[Any] = []
-        self.numbers: dict[int, int] = {}  # by identity
+        self.references: list[Any] = []
+        self.lasting = True
+
+    def told(self, tell: Callable[[DefinitionReader], str]) -> Definition:
+        """The definition whose text a function tells."""
+        text = tell(self)
+        digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
+        return Definition(digest, tuple(self.references), self.lasting)
 
     def name(self, thing: Any) -> str:
-        """The number of a thing that is to be defined."""
-        number = self.numbers.setdefault(id(thing), len(self.named))
-        if number == len(self.named):
-            self.named.append(thing)
-        return f"#{number}"
+        """Stands for a thing that is to be defined."""
+        self.references.append(thing)
+        return "#"
 
     def words(self, value: Any) -> str:
         """The text of a value."""
@@ -82,6 +181,8 @@ class DefinitionReader:
             return repr(value)
         if kind is float:
             return value.hex()
+        if kind in CHANGING or isinstance(value, (Tensor, numpy.ndarray)):
+            self.lasting = False
         if kind is tuple or kind is list:
             return f"{kind.__name__}({self.listed(value)})"
         if kind is dict:
@@ -125,14 +226,16 @@ class DefinitionReader:
     def full_name(self, thing: Any) -> str:
         return f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', None)}"
 
-    def definition(self, thing: Any) -> str:
-        """The text of a function, class or object by its parts."""
-        if isinstance(thing, FunctionType):
-            return self.function(thing)
-        if isinstance(thing, type):
-            bound = (FunctionType, property, functools.cached_property) if issubclass(thing, torch.nn.Module) else ()
-            parts = {name: part for name, part in vars(thing).items() if name not in ASIDE and not isinstance(part, bound)}
-            return f"class {self.full_name(thing)} of {self.listed(thing.__bases__)}: {self.words(parts)}"
+    def function(self, function: FunctionType, parts: dict[str, Any]) -> str:
+        """The text of a function by what `mentioned_by` tells."""
+        return f"function {self.full_name(function)} {self.listed(parts)}: {self.listed(parts.values())}"
+
+    def type(self, thing: type, parts: dict[str, Any]) -> str:
+        """The text of a class by what `meaningful_attributes` tells."""
+        return f"class {self.full_name(thing)} {self.listed(parts)}: {self.listed(parts.values())}"
+
+    def object(self, thing: Any) -> str:
+        """The text of an object by its parts."""
         if isinstance(thing, enum.Enum):
             return f"{self.full_name(type(thing))}.{thing.name} {self.words(thing.value)}"
         if is_dataclass(thing):
@@ -144,30 +247,6 @@ class DefinitionReader:
         else:
             raise Opaque(f"an object of {self.full_name(type(thing))}")
         return f"object of {self.words(type(thing))}: {self.words(state)}"
-
-    def function(self, function: FunctionType) -> str:
-        """The text of a function: its code and all that the code refers to."""
-        if hasattr(function, "__wrapped__"):  # by what it does with the function, but not what it remembers of it
-            return f"around {self.words(function.__wrapped__)}: {self.code(function.__code__)}"
-        known = function.__globals__
-        found: dict[str, Any] = {}
-        for name in names(function.__code__):
-            if name in known:
-                found[name] = known[name]
-            elif name in sys.modules and not is_library(name):  # imported inside
-                found[name] = sys.modules[name]
-        for module in [value for value in found.values() if isinstance(value, ModuleType)]:
-            if not is_library(module.__name__):
-                found |= {f"{module.__name__}.{name}": vars(module)[name]
-                          for name in names(function.__code__) if name in vars(module)}
-        cells = []
-        for cell in function.__closure__ or ():
-            try:
-                cells.append(cell.cell_contents)
-            except ValueError:  # empty so far
-                cells.append(None)
-        return (f"function {self.full_name(function)} {self.code(function.__code__)} ({self.words(function.__defaults__)} "
-                f"{self.words(function.__kwdefaults__)} {self.listed(cells)}) {self.words(found)}")
 
     def code(self, code: CodeType) -> str:
         """The text of a code object, independent of its place in the source."""
@@ -181,12 +260,14 @@ def instructions(code: CodeType) -> str:
                  code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars))
 
 
-def names(code: CodeType) -> list[str]:
+@functools.cache
+def names(code: CodeType) -> tuple[str, ...]:
     """The names that a function and its inner functions refer to, each once; dunder names are left out."""
     inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in names(constant)]
-    return [name for name in dict.fromkeys([*code.co_names, *inner]) if not name.startswith("__")]
+    return tuple(name for name in dict.fromkeys([*code.co_names, *inner]) if not name.startswith("__"))
 
 
+@functools.cache
 def is_library(module: str) -> bool:
     """True if a module belongs to a library, whose version stands for its contents."""
     return module.partition(".")[0] in LIBRARIES or module.startswith(COMPILER)
