@@ -27,6 +27,25 @@ from torch_radbp.vertex.interaction import SurfaceInteraction, corner_rows, is_m
 from torch_radbp.vertex.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.vertex.nearby import Floor, Nearby, Slide, slide_at
 
+LEAST_RISE = 1e-4  # cosine with the triangle's normal at which ideal reflections leave it, at least; rounding is far less
+
+
+def above_triangle(si: SurfaceInteraction, sample: BSDFSample) -> BSDFSample:
+    """A BSDF sample whose ideally reflected direction leaves the triangle on the side that the ray meets.
+
+    A direction that interpolated normals turn to the other side would lead into the body, where it is black. It runs along
+    the triangle instead. So what a smooth body reflects is continuous up to its outline, as on the surface that its
+    triangles stand for; in the black strip there, and where it ends, derivatives would have jumps as large as at the
+    outline, each of which takes away what another has brought.
+
+    Reference: Blender Foundation 2023, Cycles (`ensure_valid_specular_reflection` bends normals for the same reason).
+    """
+    n, wo = si.frame.to_local(si.n), sample.wo
+    facing = n * torch.where(si.cosine > 0, -1.0, torch.ones_like(si.cosine))
+    lacks = LEAST_RISE - dot(facing, wo)
+    bends = torch.isinf(sample.pdf) & (lacks > 0) & (wo.z * si.wi.z > 0)
+    return sample._replace(wo=where(bends, normalize(wo + facing * lacks), wo))
+
 
 def outgoing_ray(si: SurfaceInteraction, wo: Vec3) -> Ray:
     """The ray that leaves the surface in the local direction `wo`."""
