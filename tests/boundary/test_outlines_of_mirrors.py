@@ -1,5 +1,5 @@
-"""Beside their outlines smooth bodies reflect what lies beyond: rays that interpolated normals turn below a triangle run along
-it, instead of into the body. So nothing jumps where that begins."""
+"""Beside their outlines smooth bodies reflect what lies beyond: rays that interpolated normals turn below a triangle run
+along it, instead of into the body. So nothing jumps where that begins."""
 
 import pytest
 import torch
