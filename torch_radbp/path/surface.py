@@ -93,7 +93,7 @@ class SurfaceVertex(VertexKind):
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
         chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling, settings.ideal)
         if material.kind.delta and scene.layout.shading_normals and not scene.layout.from_lamps:
-            chosen = above_triangle(si, chosen)
+            chosen = above_triangle(scene, si, arrival.hit, chosen)
 
         # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())

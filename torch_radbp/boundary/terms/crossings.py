@@ -12,25 +12,16 @@ from torch_radbp.boundary.eye.differences import BENT, CHANCE, HORIZON, RIM, SUR
 from torch_radbp.boundary.eye.ideal_paths import IdealPath, LightLooks, along, begins, extended, some_paths
 from torch_radbp.boundary.eye.ideal_steps import Reached
 from torch_radbp.boundary.eye.seen_edges import salted, uniform_numbers
-from torch_radbp.boundary.terms.scans import (
-    SALT,
-    FilmPoints,
-    Scans,
-    Searched,
-    neighbours,
-    parting,
-    paths_from,
-    points_of,
-    refracts_into_itself,
-)
+from torch_radbp.boundary.terms.scans import SALT, FilmPoints, Scans, Searched, neighbours, parting, paths_from, points_of
 from torch_radbp.sampling.sampler import LaneKey, SampleKey
 from torch_radbp.tensors.record import joined
 from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, rows
 
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
-# And again at outlines of curved glass that the camera sees. There a mesh with interpolated normals leads refracted rays to
-# the wrong side of its triangles, in a strip as wide as these lie off the surface that they stand for.
+# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads rays
+# to the wrong side of its triangles, if it is coarse or refracts, in a strip as wide as these lie off the surface that they
+# stand for.
 TURNS_AT_OUTLINES = 3
 MOST_TURNS = 16
 
@@ -78,7 +69,7 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
         if not len(pairs.times):
             return None
         points, path, pairs = divided(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
-    if refracts_into_itself(searched.call):
+    if searched.call.scene.layout.shading_normals:
         for turn in range(TURNS, TURNS + TURNS_AT_OUTLINES):
             points, path, pairs = divided_at_outlines(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
     (first, second), times, found = pairs

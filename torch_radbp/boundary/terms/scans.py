@@ -30,7 +30,7 @@ from torch_radbp.tensors.vec import Vec2, rows
 STEPS = 8  # of a scan; what is narrower than one is likely missed
 SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
-OUTLINE = 0.5  # likelihood of a jump right beside the outline of curved glass
+OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
 PENUMBRA = 0.25  # the same of a border of the shadow of one point of a lamp, where some of these are hidden
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
 CORNERS = 1 << 13  # paths from corners that are looked at together: of small images all, since each look takes its time
@@ -81,12 +81,6 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
     """The first differences of the camera paths of pairs, see `path_difference`."""
     return path_difference(searched.call.stages, searched.tables, path, pairs)
-
-
-def refracts_into_itself(call: RenderCall) -> bool:
-    """True if interpolated normals may lead refracted rays to the wrong side of triangles, which they do at outlines."""
-    layout = call.scene.layout
-    return layout.shading_normals and any(look.kind.delta and look.kind.transmits for look in layout.appearances)
 
 
 def looks_of(searched: Searched, count: int) -> LightLooks | None:
@@ -192,7 +186,7 @@ def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLook
     pairs = Pairing(*(torch.cat([part.flatten() for part in ends]) for ends in zip(*ways)))
     found = parting(searched, path, pairs)
     likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
-    if refracts_into_itself(call):
+    if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
         outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
         likelihood = torch.where(outline, OUTLINE, likelihood)
     if lit is not None:
