@@ -37,8 +37,8 @@ def above_triangle(scene: SceneTensors, si: SurfaceInteraction, hit, sample: BSD
     A direction that interpolated normals turn to the other side would lead into the body, where it is black. It runs along
     the triangle instead. So what a smooth body reflects is continuous up to its outline, as on the surface that its
     triangles stand for; in the black strip there, and where it ends, derivatives would have jumps as large as at the
-    outline, each of which takes away what another has brought. Of coarse meshes, where the strip is wide and light would jump
-    between triangles instead, nothing changes.
+    outline, each of which takes away what another has brought. Of coarse meshes, where the strip is wide and light would
+    jump between triangles instead, nothing changes.
 
     Reference: Blender Foundation 2023, Cycles (`ensure_valid_specular_reflection` bends normals for the same reason).
     """
