@@ -96,10 +96,10 @@ def test_views_without_mirrors_are_not_scanned(monkeypatch):
                      mirror=rectangle(place, 0.8, (1, 0, 0), 30, bsdf={"type": "conductor"}))
         scene.mirror.to_world.requires_grad_()
         passes = []
-        corner_pass = rb.boundary.terms.scans.corner_pass
+        corner_passes = rb.boundary.terms.scans.corner_passes
         with monkeypatch.context() as patched:
-            patched.setattr("torch_radbp.boundary.terms.scans.corner_pass",
-                            lambda *arguments: passes.append(1) or corner_pass(*arguments))
+            patched.setattr("torch_radbp.boundary.terms.scans.corner_passes",
+                            lambda *arguments: passes.append(1) or corner_passes(*arguments))
             rb.render(scene, spp=16, seed=1, max_depth=3).mean().backward()
         return len(passes)
 

@@ -29,7 +29,7 @@ from torch_radbp.vertex.cone import Cone, cone_beyond
 from torch_radbp.vertex.emission import emission_places, vantage
 from torch_radbp.vertex.interaction import SurfaceInteraction, surface_interaction
 from torch_radbp.vertex.material import BSDFSample, Material, evaluate, material_at, material_places, sample, sampling_at
-from torch_radbp.vertex.outgoing_ray import attached_outgoing_ray, outgoing_ray
+from torch_radbp.vertex.outgoing_ray import above_triangle, attached_outgoing_ray, outgoing_ray
 
 
 class SurfacePlace(NamedTuple):
@@ -92,6 +92,8 @@ class SurfaceVertex(VertexKind):
         # F: sample the BSDF for the next direction.
         choice = lobe_number(arrival, number(BSDF_CHOICE)) if material.kind.discrete else None
         chosen = sample(material, si.wi, choice, number(BSDF_U), number(BSDF_V), settings.sampling, settings.ideal)
+        if material.kind.delta and scene.layout.shading_normals and not scene.layout.from_lamps:
+            chosen = above_triangle(scene, si, arrival.hit, chosen)
 
         # Play roulette. The floor keeps black paths alive: a reflectance of zero still has a derivative.
         promise = max_component(attenuated(state.beta * chosen.weight, through).detach())

@@ -1,26 +1,31 @@
-"""The rays that leave chains of ideal vertices, with their derivatives."""
+"""The rays that leave chains of vertices, with their derivatives."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
-from torch_radbp.adjoint.function import asks_for_gradient
+from torch_radbp.adjoint.function import asks_for_gradient, first_derivatives_only
 from torch_radbp.adjoint.scatter import Gradients, gradients_of
 from torch_radbp.adjoint.sweep import PathRecord, numbered_leaves
 from torch_radbp.adjoint.taped_sweep import sweep_of
 from torch_radbp.boundary.eye.deposit import MotionFunction
-from torch_radbp.boundary.eye.ideal_paths import only_ideal
+from torch_radbp.boundary.eye.ideal_paths import NO_ROULETTE, only_ideal
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.lanes import put_rows
 from torch_radbp.path.state import PathState
 from torch_radbp.path.step import Step, survivors
 from torch_radbp.path.wavefront import take_step
+from torch_radbp.public_call import public_call
+from torch_radbp.raycast.protocol import Hit
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.tensors.differentiated import differentiable
+from torch_radbp.tensors.differentiated import detached, differentiable
 from torch_radbp.tensors.record import leaves_of
 from torch_radbp.tensors.vec import Ray, Vec3, rows
+from torch_radbp.tensors.vector_jacobian import zeros_unless
 
 
 class Chains(NamedTuple):
@@ -64,7 +69,7 @@ def chains_of(integrand: Integrand, start: PathState, depth: Tensor) -> Chains:
 
 
 def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted: tuple[bool, ...],
-                     gradients: Gradients) -> Ray:
+                     gradients: Gradients, met: Hit | None = None) -> Ray:
     """The adjoints of the first rays of chains, from those of the rays that leave them; adds to the scene's gradients.
 
     Args:
@@ -73,6 +78,7 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
         adj_ray: the adjoints of the rays that leave them.
         wanted: for each leaf of the scene, in the order of `leaves_of`, whether `gradients` have it.
         gradients: added to.
+        met: what the rays that leave the chains hit, to which directions may be fixed; None: their directions are ideal.
     """
     record = PathRecord(lambda: chains.states[0], None, chains.states, chains.steps, len(chains.steps))
     numbered = numbered_leaves(integrand.scene, wanted)
@@ -80,6 +86,8 @@ def adjoint_of_start(integrand: Integrand, chains: Chains, adj_ray: Ray, wanted:
         for number in reversed(range(len(chains.steps))):
             own = (chains.depth == number + 1).nonzero().squeeze(1).int()
             put_rows(sweep.memo.adj_ray, own, rows(adj_ray, own))
+            if met is not None:
+                put_rows(sweep.memo.hit, own, rows(met, own))
             sweep.adjoint(chains.states[number], number)
     return sweep.memo.adj_ray
 
@@ -115,3 +123,47 @@ def following(follows: Follows, start: Ray, scene: SceneTensors) -> Tensor:
         return of_start + gradients_of([gradients])[0]
 
     return MotionFunction.apply(len(chains.depth), adjoint, *leaves_of(start), *leaves)
+
+
+class RayFunction(torch.autograd.Function):
+    """The rays that leave K chains as an `autograd.Function` of their first rays and the scene's tensors."""
+
+    @staticmethod
+    def forward(ctx, ray: Ray, adjoint: Callable[[Ray], Sequence[Tensor | None]], *leaves: Tensor) -> tuple[Tensor, ...]:
+        ctx.adjoint, ctx.like = adjoint, ray.d.x
+        return tuple([part.clone() for part in leaves_of(ray)])
+
+    @staticmethod
+    @first_derivatives_only
+    @torch.autograd.function.once_differentiable
+    @public_call
+    def backward(ctx, *adj_ray: Tensor | None):
+        adj_ray = [zeros_unless(part, ctx.like).contiguous() for part in adj_ray]
+        return None, None, *ctx.adjoint(Ray(Vec3(*adj_ray[:3]), Vec3(*adj_ray[3:])))
+
+
+def rays_along(integrand: Integrand, start: PathState, depth: Tensor, met: Hit, scene: SceneTensors) -> Ray:
+    """The rays that reach the vertices of paths at given depths, with all derivatives, for the backward pass alone: what
+    `adjoint.attached.rays_reaching` records it computes from the vertices' own states.
+
+    Args:
+        integrand: with a detached scene.
+        start: (K,) the states at the start of the paths, attached.
+        depth: (K,) int64, at least 1, and less than the number of vertices of each path.
+        met: (K,) the hits of these rays.
+        scene: attached.
+    """
+    settings = integrand.settings._replace(nee=False)
+    integrand = integrand._replace(settings=settings, rr_depth=NO_ROULETTE, max_depth=int(depth.max()) + 1, parts={})
+    with torch.no_grad():
+        chains = chains_of(integrand, detached(start), depth)
+    integrand, wanted, leaves = integrand._replace(caster=None), tuple(asks_for_gradient(scene)), differentiable(scene)
+    shapes = [leaf.detach() for leaf in leaves]
+
+    def adjoint(adj_ray: Ray) -> list[Tensor | None]:
+        gradients = Gradients(shapes)
+        adj_start = adjoint_of_start(integrand, chains, adj_ray, wanted, gradients, met)
+        return leaves_of(adj_start) + (gradients_of([gradients])[0] if shapes else [])
+
+    found = RayFunction.apply(chains.ray, adjoint, *leaves_of(start.ray), *leaves)
+    return Ray(Vec3(*found[:3]), Vec3(*found[3:]))

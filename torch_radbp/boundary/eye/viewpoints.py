@@ -9,10 +9,12 @@ import torch
 from torch import Tensor
 
 from torch_radbp.adjoint.attached import rays_reaching
+from torch_radbp.adjoint.forward_mode import has_tangents
 from torch_radbp.boundary.curve.geometry import Geometry, geometry_of
 from torch_radbp.boundary.eye.eyes import Eyes, Lobe, lobe_around
+from torch_radbp.boundary.eye.rays import rays_along
 from torch_radbp.boundary.eye.seen_edges import corners_of, salted, uniform_numbers
-from torch_radbp.call.render_call import RenderCall, started
+from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.camera_rays import CameraSample, sample_camera
 from torch_radbp.path.event import Event
 from torch_radbp.path.flight import FlightVertex
@@ -361,7 +363,11 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
     if not len(later) or not integrand.settings.moving or not any_differentiated((call.scene, view.camera)):
         return ray
     chosen = rows(points, later)
-    found = rays_reaching(integrand, started(call, begun(chosen)), chosen.depth)
+    start = started(call, begun(chosen))
+    if call.adjoint.taped or has_tangents((call.scene, view.camera)):
+        found = rays_reaching(integrand, start, chosen.depth)
+    else:
+        found = rays_along(integrand_of(call, call.integrand, number), start, chosen.depth, chosen.hit, call.scene)
     return Ray(*(Vec3(*(old.index_copy(0, later, new) for old, new in zip(*parts))) for parts in zip(ray, found)))
 
 

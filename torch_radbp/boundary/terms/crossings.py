@@ -19,8 +19,9 @@ from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, rows
 
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
-# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads
-# reflected rays into itself, and is black, in a strip as wide as its triangles lie off the surface that they stand for.
+# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads rays
+# to the wrong side of its triangles, if it is coarse or refracts, in a strip as wide as these lie off the surface that they
+# stand for.
 TURNS_AT_OUTLINES = 3
 MOST_TURNS = 16
 

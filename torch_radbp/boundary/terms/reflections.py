@@ -45,7 +45,7 @@ from torch_radbp.boundary.eye.viewpoints import path_of
 from torch_radbp.boundary.terms.covered_lights import Lights
 from torch_radbp.boundary.terms.crossings import Crossings, curve_crossings
 from torch_radbp.boundary.terms.curves import Curves, curves_crossed, level
-from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of
+from torch_radbp.boundary.terms.scans import MOST, SHARE, Searched, scans_of, turns_of, turns_together
 from torch_radbp.call.render_call import RenderCall, integrand_of, started
 from torch_radbp.path.direct_light import LightDraw, light_sent_back
 from torch_radbp.path.integrand import Integrand
@@ -86,6 +86,7 @@ def bytes_of_reflections(call: RenderCall) -> int:
     if not any(may_see_ideal_surfaces(view, call.still_scene, paths) for view in call.views):
         return 0
     corners = max((view.grid.columns + 1) * (view.grid.rows + 1) for view in call.views)
+    corners *= turns_together(corners, turns_of(call))
     places = max(FEWEST, min(MOST, paths // SHARE))
     together = places if places <= BLOCK else min(places, BLOCK * call.workers)
     looked_at = max(corners * BYTES_OF_CORNER, together * BYTES_OF_PLACE)

@@ -33,6 +33,7 @@ FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or gla
 OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
 PENUMBRA = 0.25  # the same of a border of the shadow of one point of a lamp, where some of these are hidden
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
+CORNERS = 1 << 13  # paths from corners that are looked at together: of small images all, since each look takes its time
 SALT = 0x3C6EF372  # tells the random numbers of these paths from others
 ACROSS, DOWN = 0, 1  # the random numbers of a place
 
@@ -118,10 +119,11 @@ def scans_of(searched: Searched) -> Scans | None:
 def pixel_weights(searched: Searched) -> Tensor:
     """The expected number of scans in each pixel, (P,) float64, row by row; 0 where no mirror or glass is in view."""
     call, most, shows, corners = searched.call, None, None, corners_of_pixels(searched)
-    turns = max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
-    looks = looks_of(searched, turns * (1 + len(corners.x)))
-    for turn in range(turns):
-        found, seen = corner_pass(searched, turn, corners, looks_of_corners(looks, turns, turn, len(corners.x)))
+    turns = turns_of(call)
+    looks, together = looks_of(searched, turns * (1 + len(corners.x))), turns_together(len(corners.x), turns)
+    for first in range(0, turns, together):
+        some = range(first, min(turns, first + together))
+        found, seen = corner_passes(searched, some, corners, looks_of_corners(looks, turns, some, len(corners.x)))
         most = found if most is None else torch.maximum(most, found)
         shows = seen if shows is None else shows | seen
     shows = shows.double()[None, None]
@@ -129,6 +131,16 @@ def pixel_weights(searched: Searched) -> Tensor:
     near = torch.nn.functional.max_pool2d(near.double()[None, None], 3, stride=1, padding=1)[0, 0] > 0
     count = near.sum().clamp_min(1)
     return torch.where(near, most + FLOOR * most.sum() / count + 1e-3, 0.0).flatten()
+
+
+def turns_of(call: RenderCall) -> int:
+    """The number of paths from each corner of a pixel."""
+    return max(1, min(PASSES, call.spp // SAMPLES_OF_PASS))
+
+
+def turns_together(corners: int, turns: int) -> int:
+    """In how many turns paths from so many corners are looked at together."""
+    return max(1, min(turns, CORNERS // corners))
 
 
 def corners_of_pixels(searched: Searched) -> Vec2:
@@ -140,49 +152,50 @@ def corners_of_pixels(searched: Searched) -> Vec2:
     return Vec2((corner - row * width - view.window.columns.before).double(), (row - view.window.rows.before).double())
 
 
-def looks_of_corners(looks: LightLooks | None, turns: int, turn: int, count: int) -> LightLooks | None:
-    """The light samples of pixel corners in one of several turns: for a light without extent one that all share, beside
-    whose shadow they see different things; for other lights one each, which differ wherever a part of the lamp is hidden.
+def looks_of_corners(looks: LightLooks | None, turns: int, some: range, count: int) -> LightLooks | None:
+    """The light samples of pixel corners in some of several turns, turn by turn: for a light without extent one that all
+    corners share, beside whose shadow they see different things; for other lights one each, which differ wherever a part of
+    the lamp is hidden.
 
     Args:
         looks: one for each turn, and one for each corner in each.
+        turns: the number of all turns.
         count: the number of corners.
     """
     if looks is None:
         return None
-    corner = torch.arange(count, device=looks.wanted.device)
-    shared, own = rows(looks, torch.full_like(corner, turn)), rows(looks, turns + turn * count + corner)
+    place = torch.arange(some.start * count, some.stop * count, device=looks.wanted.device)
+    shared, own = rows(looks, torch.div(place, count, rounding_mode="floor")), rows(looks, turns + place)
     return selected(shared.anywhere, shared, own)
 
 
-def corner_pass(searched: Searched, turn: int, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """Traces a path per pixel corner: (R, C) float64 likelihood of a jump in the pixel, (R + 1, C + 1) bool ideal hits."""
-    call = searched.call
-    view = call.views[searched.number]
+def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
+    """Traces a path per pixel corner in each of some turns: (R, C) float64 the greatest likelihood of a jump in the pixel,
+    (R + 1, C + 1) bool ideal hits of any. `looks`: of all corners, turn by turn."""
+    call, count = searched.call, len(film.x)
+    view, device = call.views[searched.number], call.scene.device
     width, height = view.grid.columns + 1, view.grid.rows + 1
-    corner = torch.arange(width * height, dtype=torch.int32, device=call.scene.device)
-    salt = salted(view, SALT + 1)
-    shared = lane_key(salt, torch.full_like(corner, -1), torch.full_like(corner, turn))
-    aperture = aperture_of(view, lane_key(salt, corner, torch.full_like(corner, turn)))
-    path = paths_from(searched, FilmPoints(film, aperture, shared, None))
+    salt, shape = salted(view, SALT + 1), (len(turns), height, width)
+    corner = torch.arange(count, dtype=torch.int32, device=device).repeat(len(turns))
+    turn = torch.arange(turns.start, turns.stop, dtype=torch.int32, device=device).repeat_interleave(count)
+    shared, aperture = lane_key(salt, torch.full_like(corner, -1), turn), aperture_of(view, lane_key(salt, corner, turn))
+    path = paths_from(searched, FilmPoints(joined([film] * len(turns)), aperture, shared, None))
     lit = None if looks is None else with_light(searched.integrand, path, looks)
-    corner, begin = corner.view(height, width).long(), begins(path)
-    likely = torch.zeros(height - 1, width - 1, dtype=torch.float64, device=call.scene.device)
-    for one, other, pixels in ((corner[:, :-1], corner[:, 1:], ((slice(0, -1), slice(None)), (slice(1, None), slice(None)))),
-                               (corner[:-1], corner[1:], ((slice(None), slice(0, -1)), (slice(None), slice(1, None))))):
-        pairs = Pairing(one.flatten(), other.flatten())
-        found = parting(searched, path, pairs)
-        likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
-        if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
-            outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
-            likelihood = torch.where(outline, OUTLINE, likelihood)
-        if lit is not None:
-            border = torch.where(looks.anywhere[pairs.first], 1.0, PENUMBRA) * (parting(searched, lit, pairs).kind == SHADOW)
-            likelihood = torch.maximum(likelihood, border)
-        found = likelihood.view(one.shape)
-        for part in pixels:
-            likely = torch.maximum(likely, found[part])
-    return likely, begin.view(height, width)
+    place, begin = torch.arange(count * len(turns), device=device).view(shape), begins(path)
+    ways = (place[..., :-1], place[..., 1:]), (place[:, :-1], place[:, 1:])  # from left to right, and down
+    pairs = Pairing(*(torch.cat([part.flatten() for part in ends]) for ends in zip(*ways)))
+    found = parting(searched, path, pairs)
+    likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
+    if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
+        outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
+        likelihood = torch.where(outline, OUTLINE, likelihood)
+    if lit is not None:
+        border = torch.where(looks.anywhere[pairs.first], 1.0, PENUMBRA) * (parting(searched, lit, pairs).kind == SHADOW)
+        likelihood = torch.maximum(likelihood, border)
+    across, down = (part.view(way[0].shape).amax(0) for part, way in zip(
+        likelihood.split([way[0].numel() for way in ways]), ways))
+    likely = torch.maximum(torch.maximum(across[:-1], across[1:]), torch.maximum(down[:, :-1], down[:, 1:]))
+    return likely, begin.view(shape).any(0)
 
 
 def points_of(scans: Scans) -> FilmPoints:
