@@ -364,7 +364,7 @@ def arriving(call: RenderCall, number: int, points: Viewpoints, all_of_them: boo
         return ray
     chosen = rows(points, later)
     start = started(call, begun(chosen))
-    if call.adjoint.taped or has_tangents((call.scene, view.camera)):
+    if call.adjoint.taped or call.scene.layout.media or has_tangents((call.scene, view.camera)):
         found = rays_reaching(integrand, start, chosen.depth)
     else:
         found = rays_along(integrand_of(call, call.integrand, number), start, chosen.depth, chosen.hit, call.scene)
