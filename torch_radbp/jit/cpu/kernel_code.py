@@ -1,7 +1,7 @@
 """Machine code of a kernel: made quickly, and well where there is much for it to do.
 
-Without optimising LLVM makes code in a third of the time, and loops take up to a quarter longer. So a kernel begins with
-such code. Once it has had so many lanes that better code pays, in this process and those before, or has run so often that it
+Without optimising LLVM makes code in a third of the time, and loops take up to twice as long. So a kernel begins with such
+code. Once it has had so many lanes that better code pays, in this process and those before, or has run so often that it
 is part of a long training, a helper makes that, and whoever runs the kernel next takes it. Both compute the same bits, for
 what LLVM might round otherwise is said by the program (`lane/fused.py`).
 """
@@ -19,8 +19,8 @@ from torch_radbp.threads.later import Later
 from torch_radbp.threads.team import run_lanes
 
 LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
-ENOUGH = 1 << 24  # lanes, bounce by bounce, for which better code pays beside the first
-LEAST = 1 << 15  # that a run counts as
+ENOUGH = 1 << 21  # lanes, bounce by bounce, for which better code pays beside the first
+LEAST = 1 << 12  # that a run counts as
 WRITTEN = 16  # parts of these lanes after each of which they are written down, for later processes, most of which are short
 
 
