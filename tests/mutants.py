@@ -108,7 +108,7 @@ MUTANTS = (
     # Media.
     Mutant("path/panes.py", "* panes.others * panes.count", "* panes.others", ("medium/test_panes.py",)),
     Mutant("path/passage.py", "longer = segment / settled(segment)", "longer = segment / segment",
-           ("medium/test_boundaries.py",)),
+           ("medium/test_heterogeneous.py", "medium/test_boundaries.py")),
     Mutant("path/passage.py", "return left if arrival.flight is None else left / settled(arrival.flight.chance)",
            "return left if arrival.flight is None else left / arrival.flight.chance",
            ("medium/test_boundaries.py", "medium/test_homogeneous.py")),
