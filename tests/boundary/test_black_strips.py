@@ -1,4 +1,4 @@
-"""Black strips beside outlines of curved mirrors and glass: which scenes have them, and that only there they are searched."""
+"""Black strips beside outlines of curved mirrors and glass: which scenes have them; they are searched there alone."""
 
 from __future__ import annotations
 
