@@ -30,7 +30,7 @@ SHOWN = {
     (0.3, 512): ("vertices in a mirror",),
     (0.4, 512): ("cube through a lens",),
     (0.5, 512): ("lens before a cube",),
-    # At the outlines of these balls, meshes with interpolated normals, there is a black strip much narrower than a pixel.
+    # What a ball shows lies closer together towards its outline.
     (0.3, 1024): ("camera before a ball",),
     (0.6, 1024): ("ball before a cube",),
 }

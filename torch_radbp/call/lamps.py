@@ -17,7 +17,7 @@ from torch_radbp.sampling.alias import alias_table
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.sampling.spheres import BoundingSphere
 from torch_radbp.scene.tables.placement import points_in_world, power_of_two_above
-from torch_radbp.scene.tables.scene_tensors import SceneTensors
+from torch_radbp.scene.tables.scene_tensors import SceneTensors, of_triangles
 from torch_radbp.scene.tables.triangle_corners import ROUNDINGS, at_corners
 from torch_radbp.tensors.differentiated import any_differentiated
 from torch_radbp.tensors.stage import EAGER, Stages
@@ -127,8 +127,7 @@ def narrow_triangles(scene: SceneTensors) -> Tensor:
     materials = scene.materials
     ideal = [look for look, of in enumerate(scene.layout.appearances) if of.kind.delta and not of.kind.invisible]
     of_rows = torch.isin(materials.appearance, torch.tensor(ideal, device=scene.device))
-    by_side = (of_rows if materials.narrow is None else of_rows | materials.narrow).view(2, -1).any(0)
-    return by_side[scene.triangles.material.long()]
+    return of_triangles(scene, of_rows if materials.narrow is None else of_rows | materials.narrow)
 
 
 def sphere_around(low: Vec3, high: Vec3) -> BoundingSphere:

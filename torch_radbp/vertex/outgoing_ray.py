@@ -20,14 +20,13 @@ from torch import Tensor
 
 from torch_radbp.scene.tables.placement import points_in_world, shown_normals
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.scene.tables.triangle_corners import Corners, at_corners, edges
+from torch_radbp.scene.tables.triangle_corners import Corners, at_corners, edges, is_fine
 from torch_radbp.tensors.lookup import lookup
 from torch_radbp.tensors.vec import TINY, Ray, Vec3, attached, cross, dot, normalize, where
 from torch_radbp.vertex.interaction import SurfaceInteraction, corner_rows, is_met, where_the_ray_goes
 from torch_radbp.vertex.material import BSDFSample, Material, evaluate, sampling_at
 from torch_radbp.vertex.nearby import Floor, Nearby, Slide, slide_at
 
-FINE = 0.999  # squared cosine between a triangle's normal and those at its vertices from which on a mesh is fine
 LEAST_RISE = 1e-4  # cosine with the triangle's normal at which ideal reflections leave it, at least; rounding is far less
 
 
@@ -46,8 +45,8 @@ def above_triangle(scene: SceneTensors, si: SurfaceInteraction, hit, sample: BSD
     facing = n * torch.where(si.cosine > 0, -1.0, torch.ones_like(si.cosine))
     lacks = LEAST_RISE - dot(facing, wo)
     bends = torch.isinf(sample.pdf) & (lacks > 0) & (wo.z * si.wi.z > 0)
-    for normal in shown_normals(scene, hit, at_corners(scene.triangles.vertices.n, corner_rows(scene, hit))):
-        bends = bends & (dot(normal, si.n).square() > FINE * dot(normal, normal))
+    normals = shown_normals(scene, hit, at_corners(scene.triangles.vertices.n, corner_rows(scene, hit)))
+    bends = bends & is_fine(si.n, normals)
     return sample._replace(wo=where(bends, normalize(wo + facing * lacks), wo))
 
 

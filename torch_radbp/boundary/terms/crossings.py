@@ -19,9 +19,8 @@ from torch_radbp.tensors.stage import stage
 from torch_radbp.tensors.vec import Vec2, rows
 
 PARTS, TURNS = 6, 2  # into which steps are divided, again and again, as often
-# And again at outlines of curved mirrors and glass that the camera sees. There a mesh with interpolated normals leads rays
-# to the wrong side of its triangles, if it is coarse or refracts, in a strip as wide as these lie off the surface that they
-# stand for.
+# And again at outlines of curved mirrors and glass that the camera sees, if some have black strips there, which are as wide
+# as triangles lie off the surface that they stand for.
 TURNS_AT_OUTLINES = 3
 MOST_TURNS = 16
 
@@ -69,7 +68,7 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
         if not len(pairs.times):
             return None
         points, path, pairs = divided(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
-    if searched.call.scene.layout.shading_normals:
+    if searched.strips:
         for turn in range(TURNS, TURNS + TURNS_AT_OUTLINES):
             points, path, pairs = divided_at_outlines(searched, points, path, pairs, turn + 1 + MOST_TURNS * lot)
     (first, second), times, found = pairs

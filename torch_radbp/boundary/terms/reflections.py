@@ -34,6 +34,7 @@ from torch_radbp.adjoint.scatter import Gradients
 from torch_radbp.boundary.curve.outline import Outline
 from torch_radbp.boundary.curve.places import FEWEST
 from torch_radbp.boundary.curve.triangles_in_view import may_see_ideal_surfaces
+from torch_radbp.boundary.eye.black_strips import has_black_strips
 from torch_radbp.boundary.eye.deposit import Deposit, image_of
 from torch_radbp.boundary.eye.differences import SHADOW, parted
 from torch_radbp.boundary.eye.ideal_paths import ideal_at_first, only_ideal
@@ -107,9 +108,10 @@ def reflected_jumps(call: RenderCall, reflected: Reflected) -> Tensor:
         surfaces = surfaces_of(still, reflected.meshes, detached(reflected.lines))
         tables, = call.stages(parted).taken(surfaces=surfaces)
         lights = Lights.mirrored(still) if reflected.shadows else Lights(False, False, False)
+        strips = has_black_strips(still)
     for number in range(len(call.views)):
         integrand = ideal_at_first(integrand_of(still, still.integrand, number))
-        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, lights)
+        searched = Searched(still, number, only_ideal(integrand), surfaces, tables, lights, strips)
         found = _jumps_in_view(call, searched, integrand, reflected)
         images.append(image_of(call, number, [] if found is None else [found]))
     return torch.stack(images)

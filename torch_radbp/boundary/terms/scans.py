@@ -30,7 +30,7 @@ from torch_radbp.tensors.vec import Vec2, rows
 STEPS = 8  # of a scan; what is narrower than one is likely missed
 SHARE, MOST = 64, 1 << 15  # one place for so many paths of the image; and at most
 FLOOR = 0.25  # of the mean likelihood, by which each pixel with a mirror or glass in view is scanned
-OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror
+OUTLINE = 0.5  # likelihood of a jump right beside the outline of a curved mirror, if some have black strips there
 PENUMBRA = 0.25  # the same of a border of the shadow of one point of a lamp, where some of these are hidden
 PASSES, SAMPLES_OF_PASS = 4, 16  # paths from each corner, at most; and one for so many samples of a pixel
 CORNERS = 1 << 13  # paths from corners that are looked at together: of small images all, since each look takes its time
@@ -56,6 +56,7 @@ class Searched(NamedTuple):
     surfaces: Surfaces
     tables: Any  # the same, prepared for the stages
     lights: Lights  # whose shadow borders are searched: of lights of some extent after one ideal vertex alone
+    strips: bool  # curved mirrors or glass have black strips beside their outlines, whose borders are searched
 
 
 class Scans(NamedTuple):
@@ -186,7 +187,7 @@ def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLook
     pairs = Pairing(*(torch.cat([part.flatten() for part in ends]) for ends in zip(*ways)))
     found = parting(searched, path, pairs)
     likelihood = torch.where((found.depth > 0) & (found.kind != CHANCE), found.likelihood, 0.0)
-    if call.scene.layout.shading_normals:  # by which rays leave outlines of curved mirrors on the wrong side
+    if searched.strips:
         outline = (found.kind == SURFACE) & (found.depth == 0) & (begin[pairs.first] | begin[pairs.second])
         likelihood = torch.where(outline, OUTLINE, likelihood)
     if lit is not None:

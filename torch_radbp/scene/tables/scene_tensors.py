@@ -211,6 +211,12 @@ class SceneTensors(NamedTuple):
                                    if not (kind.surround or kind.on_surface)])
 
 
+def of_triangles(scene: SceneTensors, of_rows: Tensor) -> Tensor:
+    """(T,) bool: triangles whose material, on one side or on both, has a property; `of_rows`: (2 M,) bool, of each material
+    on each side."""
+    return of_rows.view(2, -1).any(0)[scene.triangles.material.long()]
+
+
 def extent_of(scene: Any) -> Tensor:
     """() float64, the longest side of the bounding box of all vertices of a `SceneTensors` or `Geometry`."""
     ends = [part.aminmax() for part in scene.triangles.vertices.p]

@@ -6,9 +6,10 @@ from torch import Tensor
 
 from torch_radbp.scene.tables.placement import detached_largest_coordinate, power_of_two_above
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.vec import Vec2, Vec3
+from torch_radbp.tensors.vec import Vec2, Vec3, dot
 
 ROUNDINGS = 16  # of float32, whatever the scene's dtype: the distance off a surface at which rays start
+FINE = 0.999  # squared cosine between a triangle's normal and those at its vertices from which on a mesh is fine
 
 Corners = tuple[Vec3, Vec3, Vec3]  # (N,) positions of the vertices of a triangle per lane
 
@@ -27,6 +28,17 @@ def along_edges(corners: tuple[Vec2 | Vec3, ...]) -> tuple[Vec2 | Vec3, Vec2 | V
     """The differences of a vertex attribute along the two edges from the first vertex."""
     first, *others = corners
     return tuple(type(first)(*(end - begin for end, begin in zip(other, first))) for other in others)
+
+
+def is_fine(n: Vec3, normals: tuple[Vec3, Vec3, Vec3]) -> Tensor:
+    """(N,) bool: triangles from whose normals those at their vertices differ little, so that their mesh is fine.
+
+    Args:
+        n: (N,) unit normals of triangles.
+        normals: those at their vertices, unit, in the same frame; 0 where a mesh has none, which is never fine.
+    """
+    first, second, third = (dot(normal, n).square() > FINE * dot(normal, normal) for normal in normals)
+    return first & second & third
 
 
 def clearance(corners: Corners) -> Tensor:
