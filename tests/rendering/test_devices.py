@@ -85,7 +85,7 @@ OF_LAMPS = {"brings", "affects_loss", "is_connected", "patches", "sample_lamps",
 WITHOUT_ASKED = {"fog": {"affects_loss"}, "smoke": {"affects_loss", "is_connected"},
                  "networks": {"affects_loss"}}  # of all vertices
 # Stages that a scene does without.
-NOT_IN = {"materials": {"places", *OF_MANY_LAMPS, *OF_FEW_EDGES},
+NOT_IN = {"materials": {"places", "way_to_light", *OF_MANY_LAMPS, *OF_FEW_EDGES},
           "lamps": {"places", *OF_TWO_SIDES, *OF_JUMPS, *OF_MIRRORS, *OF_FEW_EDGES},
           "shapes": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_MIRRORS, *OF_FEW_EDGES},
           "textures": {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES, *OF_FEW_EDGES},
