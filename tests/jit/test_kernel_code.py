@@ -9,7 +9,7 @@ from tests.jit.quickly import Quick
 from torch_radbp.jit import LaneFunction, compiled, run
 from torch_radbp.jit.cpu import kernel_code
 from torch_radbp.jit.cpu.cpu import Cpu
-from torch_radbp.jit.cpu.kernel_code import ENOUGH, LEAST, LONGEST, CpuLoop, KernelCode
+from torch_radbp.jit.cpu.kernel_code import ENOUGH, LEAST, LONGEST, MANY, Ahead, CpuLoop, KernelCode
 
 
 def sums(x, y, z):
@@ -27,6 +27,7 @@ def made(monkeypatch) -> list[bool]:
     """Of all code that is made in the test, whether it is made well."""
     found, make = [], kernel_code.object_code
     monkeypatch.setattr(kernel_code, "object_code", lambda text, well: found.append(well) or make(text, well))
+    monkeypatch.setattr(Ahead, "paths", 0)
     return found
 
 
@@ -79,6 +80,20 @@ def test_a_kernel_that_runs_often_is_made_well_though_it_has_few_lanes(made, mon
     function(*given)
     loop.improving.result()
     assert made == [False, True]
+
+
+def test_code_is_made_well_at_once_for_a_rendering_of_many_paths(made):
+    function, other = (LaneFunction(mixed, tables=("colours",)) for _ in range(2))
+    function(*arguments(1000))
+    Ahead.are(MANY - 1)
+    function(*arguments(1000))
+    assert made == [False]
+    Ahead.are(MANY)
+    other(*arguments(1000))
+    assert made == [False, True]
+    function(*arguments(1000))
+    function.prepared(arguments(1000))[0].loop.result().improving.result()
+    assert made == [False, True, True]
 
 
 def test_long_kernels_are_made_well_at_once(made):

@@ -11,6 +11,7 @@ from torch_radbp.call.chunks import Chunk, fair_chunk, plan_chunks
 from torch_radbp.call.view import View
 from torch_radbp.call.wavefronts import Wavefront, plan_wavefronts
 from torch_radbp.film.window import Window
+from torch_radbp.jit.cpu.kernel_code import Ahead
 from torch_radbp.rendering.cost import Request, check_cost, lanes_of_chunks, recorded_lanes, traced_together
 
 
@@ -28,7 +29,7 @@ class LanePlan(NamedTuple):
 
 
 def plan_lanes(windows: Sequence[Window], rr_depth: int, request: Request) -> LanePlan:
-    """Plans the chunks and wavefronts of a call.
+    """Plans the chunks and wavefronts of a call, and says how many paths code is compiled for.
 
     Args:
         windows: of its images.
@@ -45,6 +46,7 @@ def plan_lanes(windows: Sequence[Window], rr_depth: int, request: Request) -> La
         about = min(about, recorded_lanes(adjoint, request.max_depth, rr_depth, dtype))
     lanes, most = request.chunk or fair_chunk(grids, spp, request.workers, about), request.chunk or about
     paths = spp * sum(columns * rows for columns, rows in grids)
+    Ahead.are(paths)
     # Eager operations round the last lanes of a wavefront otherwise: an image would depend on what is differentiated.
     apart = adjoint is not None and request.record_bytes == 0
     together = request.compiled and apart and 2 * paths <= (request.chunk or inf) and (

@@ -1,9 +1,10 @@
 """Machine code of a kernel: made quickly, and well where there is much for it to do.
 
-Without optimising LLVM makes code in a third of the time, and loops take up to twice as long. So a kernel begins with such
-code. Once it has had so many lanes that better code pays, in this process and those before, or has run so often that it
-is part of a long training, a helper makes that, and whoever runs the kernel next takes it. Both compute the same bits, for
-what LLVM might round otherwise is said by the program (`lane/fused.py`).
+Without optimising LLVM makes code in a third of the time, and loops take up to twice as long. So a kernel that is first
+needed by a small rendering begins with such code. Once it has had so many lanes that better code pays, in this process and
+those before, or has run so often that it is part of a long training, a helper makes that, and whoever runs the kernel next
+takes it; a larger rendering has only the better one. Both compute the same bits, for what LLVM might round otherwise is said
+by the program (`lane/fused.py`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from torch_radbp.jit.cpu.machine import MachineCode, object_code
 from torch_radbp.threads.later import Later
 from torch_radbp.threads.team import run_lanes
 
+MANY = 1 << 16  # paths of a rendering that is not small
 LONGEST = 1 << 14  # lines of a kernel whose values, which all lie on the stack if it is made quickly, find room there
 ENOUGH = 1 << 21  # lanes, bounce by bounce, for which better code pays beside the first
 LEAST = 1 << 12  # that a run counts as
@@ -33,8 +35,8 @@ class KernelCode(NamedTuple):
 
     @staticmethod
     def first(text: str) -> KernelCode:
-        """Compiles LLVM IR for a kernel of which nobody knows how much it will have to do."""
-        return KernelCode.made(text, well=text.count("\n") > LONGEST)
+        """Compiles LLVM IR for the rendering that runs."""
+        return KernelCode.made(text, well=Ahead.are_many() or text.count("\n") > LONGEST)
 
     @staticmethod
     def made(text: str, well: bool) -> KernelCode:
@@ -47,6 +49,22 @@ class KernelCode(NamedTuple):
 
     def packed(self) -> bytes:
         return pickle.dumps(tuple(self))
+
+
+class Ahead:
+    """The paths of the rendering that runs; those of several threads are not told apart."""
+
+    paths = 0
+
+    @staticmethod
+    def are(paths: int) -> None:
+        """Says how many paths the rendering that begins has."""
+        Ahead.paths = paths
+
+    @staticmethod
+    def are_many() -> bool:
+        """True if it is not a small one."""
+        return Ahead.paths >= MANY
 
 
 class CpuLoop:
@@ -79,7 +97,7 @@ class CpuLoop:
         if not self.may_improve:
             return False
         self.lanes += lanes
-        if self.improving is None and self.lanes >= ENOUGH:
+        if self.improving is None and (self.lanes >= ENOUGH or Ahead.are_many()):
             self.improving = Later(self.improve).meanwhile()
         elif self.improving is None and self.lanes - self.made.lanes >= ENOUGH // WRITTEN:
             self.made = self.made._replace(lanes=self.lanes)
