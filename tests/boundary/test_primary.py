@@ -388,6 +388,23 @@ def test_the_edges_of_a_scene_are_searched_for_once_by_all_that_render_it(monkey
         assert len(searched) <= 2 and torch.equal(*derivatives)
 
 
+def test_edges_that_lie_on_other_bodies_are_divided_once_while_these_stay_where_they_are(monkeypatch):
+    """A cube stands on a floor."""
+    divided, divide = [], outline.edges_in_parts
+    monkeypatch.setattr(outline, "edges_in_parts", lambda *arguments: divided.append(arguments) or divide(*arguments))
+    cube = {"type": "cube", "to_world": translate((0, 0, 0.4)) @ scale((0.4, 0.4, 0.4))}
+    scene = load(camera=sensor(4), sky=DARK, floor=rectangle((0, 0, 0), 3), cube=cube)
+    camera, pose = (scene.get_parameter(name) for name in ("camera.to_world", "cube.to_world"))
+    camera.requires_grad_()
+    renderer = unwarned_renderer(scene, spp=4, max_depth=2, terms=["interior", "primary"])
+    first, second = (torch.autograd.grad(renderer(seed=1)[0, 0].sum(), camera)[0] for _ in range(2))
+    assert first.abs().max() > 0 and torch.equal(second, first) and len(divided) == 1
+    with torch.no_grad():
+        pose[0, 3] += 0.1
+    moved, = torch.autograd.grad(renderer(seed=1)[0, 0].sum(), camera)
+    assert not torch.equal(moved, first) and len(divided) == 2
+
+
 def test_the_memory_plan_counts_jumps():
     uv, faces = grid(400, 400)
     sheet = {"type": "mesh", "vertex_positions": uv @ torch.eye(2, 3, dtype=uv.dtype), "faces": faces}

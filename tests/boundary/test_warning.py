@@ -12,6 +12,7 @@ import torch_radbp as rb
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.meshes import icosphere
 from torch_radbp.boundary.curve.edges import edges_of
+from torch_radbp.boundary.terms import jump_watch
 from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.shape.welding import cells_of, weld_size, welded
@@ -304,6 +305,19 @@ def test_so_are_those_that_follow_glass(name, kind):
         message, = warnings_of(scene(), name, sampling=sampling)
         assert f"derivatives with respect to `{name}` lack the contribution of edges" in message
         assert "sampling=" not in message
+
+
+def test_edges_that_directions_slide_over_are_looked_for_once_for_each_parameter(monkeypatch):
+    looked, look = [], jump_watch.missing_silhouettes
+    monkeypatch.setattr(jump_watch, "missing_silhouettes", lambda rendering: looked.append(rendering) or look(rendering))
+    scene = load(camera=sensor(4), sky=SKY, mirror={**CUBE, "bsdf": {"type": "conductor"}})
+    scene.get_parameter("camera.to_world").requires_grad_()
+    renderer = rb.Renderer(scene, spp=1, max_depth=3, terms=["interior"])
+    with pytest.warns(SilhouetteWarning, match="`camera.to_world` lack the contribution of silhouettes"):
+        renderer(seed=1)
+    searches = len(looked)
+    renderer(seed=2)
+    assert 0 < searches == len(looked)
 
 
 def test_directions_from_a_single_plane_meet_no_edges():

@@ -108,12 +108,21 @@ class Shown(NamedTuple):
     outline: Outline | None
 
 
+class Divided(NamedTuple):
+    """Edges divided where they lie on other surfaces, cached together with what they depend on."""
+
+    whole: Outline
+    resting: Resting  # which depends on all places in the world
+    outline: Outline
+
+
 class Outlines:
     """Finds the edges of meshes, and caches them while triangles are unchanged."""
 
     def __init__(self) -> None:
         self.known: dict[object, OutlinedMesh] = {}
         self.shown: dict[Moving, Shown] = {}
+        self.divided: dict[tuple[Moving, Moving], Divided] = {}  # by whose edges they are, and whose contacts
         self.faces: dict[Moving, tuple[tuple, Faces | None]] = {}  # with what they depend on
         self.order: tuple[tuple[Tensor, ...], EdgeSlots] | None = None
         self.sizes: tuple[int, int] | None = None  # triangles of everything, and its edges, when these were found last
@@ -141,7 +150,7 @@ class Outlines:
 
         def jumps(moves: Moving, turns: Moving, slides: Moving) -> Jumps:
             resting = self.passing.of_pairs(rendering, moves, edges_of_shape, seed).resting
-            outline = in_parts(scene, self.of(scene, sizes, moves, generator), resting)
+            outline = self.in_parts(scene, (moves, moves), self.of(scene, sizes, moves, generator), resting)
             faces = self.faces_of(scene, sizes, turns, generator)
             patterned = moving_faces(scene, sizes, slides, generator) if any(lines) else None
             segments = [] if patterned is None else [texture_segments(scene, patterned, sizes, lines)]
@@ -193,12 +202,32 @@ class Outlines:
             found = rows(found._replace(folds=None), some)._replace(folds=found.folds)
         elif (passing := moving_or_sliding(rendering)) is not None:
             pairs = self.passing.of_pairs(rendering, passing, self.edges_of_shape(scene, sizes), seed)
-            found = in_parts(scene, found, pairs.resting)
+            found = self.in_parts(scene, (everything, passing), found, pairs.resting)
         self.sizes = (len(scene.triangles.material), len(found.crease)) if most is None else self.sizes
         shape = torch.repeat_interleave(torch.tensor(sizes, device=found.crease.device)).int()
         body = rows(shape, torch.div(found.edges.corner[0], 3, rounding_mode="floor"))
         body = body if found.instance is None else body + found.instance * len(sizes)
         return found._replace(slots=self.order_of(scene, found, body))
+
+    def in_parts(self, scene: SceneTensors, moving: tuple[Moving, Moving], outline: Outline | None,
+                 resting: Resting | None) -> Outline | None:
+        """Divides the edges of an outline where they lie on other surfaces, cached.
+
+        Args:
+            scene: detached.
+            moving: the shapes and instances whose edges these are, and those whose contacts are known.
+            outline: edges; None: there are none.
+            resting: the parts of edges that lie on other surfaces; None: there are none.
+        """
+        if outline is None or resting is None:
+            return outline
+        known = self.divided.get(moving)
+        if known is None or known.whole is not outline or known.resting is not resting:
+            found, parts = edges_in_parts(geometry_of(scene), outline.edges, outline.instance, resting) or (None, None)
+            known = Divided(outline, resting, outline if found is None else rows(
+                outline._replace(folds=None), found)._replace(folds=outline.folds, parts=parts))
+            remember(self.divided, moving, known)
+        return known.outline
 
     def order_of(self, scene: SceneTensors, outline: Outline, body: Tensor) -> EdgeSlots:
         """The edges in the order of a tree over them, cached; `body`: (E,) the body of each edge."""
@@ -342,14 +371,6 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
     if not any(moving.shapes) and not any(moving.instances) and not any(rendering.camera_movers):
         return None
     return moving._replace(shapes=tuple(map(operator.or_, moving.shapes, rendering.plain)))
-
-
-def in_parts(scene: SceneTensors, outline: Outline | None, resting: Resting | None) -> Outline | None:
-    """Divides the edges of an outline where they lie on other surfaces; `resting`: these parts; None: there are none."""
-    found = None if outline is None or resting is None else edges_in_parts(
-        geometry_of(scene), outline.edges, outline.instance, resting)
-    return outline if found is None else rows(outline._replace(folds=None), found[0])._replace(
-        folds=outline.folds, parts=found[1])
 
 
 def outlines_of(scene: Scene) -> Outlines:

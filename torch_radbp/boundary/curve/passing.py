@@ -123,10 +123,10 @@ def key_of(scene: SceneTensors, counts: Sequence[int]) -> tuple:
         *casting.first_triangle, *casting.first_instance)
 
 
-def remember(known: dict[Moving, Any], moving: Moving, found: Any) -> None:
-    """Caches a result for a selection of moving bodies, and drops the oldest entries."""
-    known.pop(moving, None)
-    known[moving] = found
+def remember(known: dict[Any, Any], key: Any, found: Any) -> None:
+    """Caches a result, such as of a selection of moving bodies, and drops the oldest entries."""
+    known.pop(key, None)
+    known[key] = found
     if len(known) > MOST_KNOWN:
         known.pop(next(iter(known)))
 

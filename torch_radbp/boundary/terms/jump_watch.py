@@ -70,6 +70,7 @@ class JumpWatch:
         self.caustic: Caustic | None = None  # as of the first rendering
         self.viewed: set[int] = set()  # ids of the sensors whose rays have been looked at
         self.looked_at: set[str | tuple] = set()  # the moving parameters for which shadows of some kinds have been searched
+        self.sliding: set[str] = set()  # the parameters for which edges that directions slide over have been looked at
         self.in_media: set[frozenset[str]] = set()  # sets of them for which edges in media have been looked at
         self.placed: set[str] = set()  # those of which it is known how far from the origin they move things
 
@@ -218,9 +219,15 @@ class JumpWatch:
         return JumpWarning(f"{lacking}transmission by GGX facets ends with a jump, at which samples are lost. {instead}")
 
     def edges_slid_over(self, rendering: Rendering) -> SilhouetteWarning | None:
-        """The warning about scattered directions that turn with a parameter, and so slide over edges; or None."""
+        """The warning about scattered directions that turn with a parameter, and so slide over edges; or None.
+
+        Parameters that move silhouettes, too, are left out. It is looked for once for each parameter.
+        """
         slid = slid_over(rendering)
-        named = missing_silhouettes(rendering) if slid.names else {}
+        if slid.names.keys() <= self.sliding:
+            return None
+        self.sliding |= slid.names.keys()
+        named = missing_silhouettes(rendering)
         names = {name: ideal for name, ideal in slid.names.items() if name not in named}
         if not names or flat(rendering.seen.vertices):
             return None
