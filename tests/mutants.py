@@ -109,9 +109,8 @@ MUTANTS = (
     Mutant("path/panes.py", "* panes.others * panes.count", "* panes.others", ("medium/test_panes.py",)),
     Mutant("path/passage.py", "longer = segment / settled(segment)", "longer = segment / segment",
            ("medium/test_heterogeneous.py", "medium/test_boundaries.py")),
-    Mutant("path/passage.py", "return left if arrival.flight is None else left / settled(arrival.flight.chance)",
-           "return left if arrival.flight is None else left / arrival.flight.chance",
-           ("medium/test_boundaries.py", "medium/test_homogeneous.py")),
+    Mutant("path/passage.py", "left / settled(arrival.flight.chance).clamp_min(TINY)", "left",
+           ("medium/test_closed_forms.py", "medium/test_homogeneous.py")),
     Mutant("medium/heterogeneous.py", "rest = sigma.map(lambda each: (bound - each) / (bound - control))",
            "rest = sigma.map(lambda each: (bound - each) / bound)", ("medium/test_heterogeneous.py",)),
     # Compiled code.
