@@ -29,6 +29,7 @@ modules and names, and the bits of an image at a given seed.
 """
 
 import torch_radbp.io.trimesh_out  # noqa: F401 (gives shapes and scenes their to_trimesh)
+import torch_radbp.scene.modules.bounds  # noqa: F401 (gives scenes their clamp_)
 from torch_radbp.adjoint import AdjointStrategy, MemoizedAdjoint, QuadraticAdjoint, ReplayAdjoint, TapeAdjoint
 from torch_radbp.boundary.terms.jump_watch import JumpWarning, SilhouetteWarning
 from torch_radbp.call.finite import NonFiniteError

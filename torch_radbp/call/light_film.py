@@ -36,7 +36,7 @@ PIECE = 1 << 14  # lanes that are deposited at once, so that what they count in 
 
 
 @dataclass(frozen=True)
-class LightFilm(Sink):
+class LightFilm(Sink[RenderCall]):
     """The window of one camera's film as the sink of paths from lamps.
 
     Args:

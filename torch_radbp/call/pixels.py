@@ -21,7 +21,7 @@ from torch_radbp.tensors.vec import Vec2, Vec3, rows
 IMAGE_COPIES = 5  # the sums of its rows, the image, its gradient, that by sums of the filter, and what the loss makes
 
 
-class Films(Sink):
+class Films(Sink[RenderCall]):
     """The films of a call's views as the sink of camera paths: a pixel is the filter-weighted mean of samples around it.
 
     `SinkValues.values` are images (B, C, H, W), and `SinkValues.filters`, (B, H, W), the sums of the filter over samples.

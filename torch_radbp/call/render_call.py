@@ -40,7 +40,7 @@ class RenderCall(NamedTuple):
     stages: Stages
     adjoint: object  # the strategy
     source: PathSource  # where paths begin
-    sink: Sink  # where their radiance goes
+    sink: Sink[RenderCall]  # where their radiance goes
     wavefronts: list[Wavefront]
     spp: int
     shares_samples: bool  # the backward pass differentiates the samples of the image itself

@@ -8,19 +8,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from torch import Tensor
 
+from torch_radbp.call.wavefronts import Wavefront
 from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.tensors.vec import Vec2, Vec3
 
-if TYPE_CHECKING:
-    from torch_radbp.call.render_call import RenderCall
-    from torch_radbp.call.wavefronts import Wavefront
-
-Work = Callable[["Wavefront"], tuple[list[Tensor], Any]]  # of each wavefront what `deposit` gives, and anything else
+Call = TypeVar("Call")  # a `render_call.RenderCall`, which has a sink
+Work = Callable[[Wavefront], tuple[list[Tensor], Any]]  # of each wavefront what `deposit` gives, and anything else
 
 
 class SinkValues(NamedTuple):
@@ -31,12 +29,12 @@ class SinkValues(NamedTuple):
     results: list  # what else was found of each wavefront
 
 
-class Sink(ABC):
+class Sink(ABC, Generic[Call]):
     """The interface of what collects the radiance of paths, such as films; it is linear in the radiance."""
 
     at_vertices: ClassVar[bool] = False  # paths, from lamps, bring something at each vertex: see `deposits`
 
-    def deposits(self, call: RenderCall) -> Any:
+    def deposits(self, call: Call) -> Any:
         """An accumulator of what vertices of paths from lamps contribute, with methods `add` and `total`."""
         raise TypeError(f"to a {type(self).__name__} paths bring their radiance")
 
@@ -44,12 +42,12 @@ class Sink(ABC):
         """The integrand that the backward pass differentiates, which may contain the derivatives `adj_sums`."""
         return integrand
 
-    def asked_everywhere(self, call: RenderCall, integrand: Integrand) -> Integrand:
+    def asked_everywhere(self, call: Call, integrand: Integrand) -> Integrand:
         """The `backward_integrand` for a derivative of the loss of 1 everywhere, for predictions of memory."""
         return integrand
 
     @abstractmethod
-    def deposit(self, call: RenderCall, wavefront: Wavefront, values: Sequence[Tensor],
+    def deposit(self, call: Call, wavefront: Wavefront, values: Sequence[Tensor],
                 samples: CameraSample) -> list[Tensor]:
         """The contributions of a wavefront's lanes, summed for each of its chunks.
 
@@ -59,11 +57,11 @@ class Sink(ABC):
         """
 
     @abstractmethod
-    def gather(self, call: RenderCall, work: Work) -> SinkValues:
+    def gather(self, call: Call, work: Work) -> SinkValues:
         """The values of all wavefronts of the call, for each of which `work` is called (`of_wavefronts`)."""
 
     @abstractmethod
-    def adj_sums(self, call: RenderCall, gradient: Tensor, filters: Tensor | None) -> Any:
+    def adj_sums(self, call: Call, gradient: Tensor, filters: Tensor | None) -> Any:
         """The derivative of the loss by what `deposit` returns, for use by `adjoint`; computed once.
 
         Args:
@@ -72,7 +70,7 @@ class Sink(ABC):
         """
 
     @abstractmethod
-    def adjoint(self, call: RenderCall, wavefront: Wavefront, place: Vec2 | None, adj_sums: Any) -> Vec3:
+    def adjoint(self, call: Call, wavefront: Wavefront, place: Vec2 | None, adj_sums: Any) -> Vec3:
         """The derivative of the loss by L_1 of each lane of a wavefront, (N,): the transpose of `deposit`.
 
         Args:
@@ -80,7 +78,7 @@ class Sink(ABC):
             adj_sums: the result of `adj_sums`.
         """
 
-    def bytes_held(self, call: RenderCall) -> int:
+    def bytes_held(self, call: Call) -> int:
         """The greatest memory in bytes for sums, values and their derivatives, for predictions."""
         raise TypeError(f"the memory of a {type(self).__name__} is not predicted")
 

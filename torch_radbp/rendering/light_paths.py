@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,21 +21,18 @@ from torch_radbp.connection.camera import from_lamps
 from torch_radbp.interface.emitter import LightKind
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.rendering.own_light import cameras_see_own_light
-from torch_radbp.rendering.settings import settings_of_integrand
+from torch_radbp.rendering.settings import CheckedRenderer, settings_of_integrand
 from torch_radbp.sampling.sampler import SampleKey
 from torch_radbp.scene.packing.material_tables import one_sided
 from torch_radbp.scene.tables.scene_tensors import SceneTensors, proposal_of
 from torch_radbp.tensors.differentiated import any_differentiated, detached
-
-if TYPE_CHECKING:
-    from torch_radbp.rendering.renderer import Renderer
 
 NARROW = 0.25  # roughness below which a material scatters narrowly
 MOST_ON_CPU = 1 << 16  # lanes of a wavefront on a processor: more are quicker by a twentieth, and take more memory
 OF_LAMPS = 0x2545F491  # tells the random numbers of paths from lamps from those of camera paths
 
 
-def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> str:
+def light_paths_of(renderer: CheckedRenderer, call: RenderCall, edges: EdgesOfCall) -> str:
     """Which light comes by paths from lamps: "camera" (none), "caustics" or "all"; where the user left it open, it warns.
 
     Raises:
@@ -57,19 +54,19 @@ def light_paths_of(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> 
     return chosen
 
 
-def caustics_by_default(renderer: Renderer, call: RenderCall, turned: bool) -> bool:
+def caustics_by_default(renderer: CheckedRenderer, call: RenderCall, turned: bool) -> bool:
     """True if caustics come by paths from lamps by default; `turned`: mirrors in which lamps are seen turn."""
     if renderer.jump_watch.caustic is not None:
         return call.can_begin_at_lamps and not counts_edges_twice(renderer, call)
     return turned and call.can_follow_to_the_film and renderer.sampling != "attached"
 
 
-def counts_edges_twice(renderer: Renderer, call: RenderCall) -> bool:
+def counts_edges_twice(renderer: CheckedRenderer, call: RenderCall) -> bool:
     """True if edges over which attached directions slide would count twice: paths from lamps have their effect, too."""
     return renderer.sampling == "attached" and not all(kind.delta for kind in lights_of_paths(call.scene, "caustics"))
 
 
-def shared_image(renderer: Renderer, call: RenderCall, edges: EdgesOfCall) -> tuple[Tensor, RenderCall]:
+def shared_image(renderer: CheckedRenderer, call: RenderCall, edges: EdgesOfCall) -> tuple[Tensor, RenderCall]:
     """Renders a call, (B, 3 + C, H, W), by paths that begin at the camera and at lamps, attached in forward and backward
     mode; also returns the call by which boundary terms are computed.
 
@@ -96,7 +93,7 @@ class CallsOfLight(NamedTuple):
     of_lamps: list[RenderCall]  # of each view; empty: paths from the camera bring all
 
 
-def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> CallsOfLight:
+def calls_of_light(renderer: CheckedRenderer, call: RenderCall, light_paths: str) -> CallsOfLight:
     """Divides the light of a call among paths from the camera and paths from lamps, without warnings.
 
     Args:
@@ -124,7 +121,7 @@ def calls_of_light(renderer: Renderer, call: RenderCall, light_paths: str) -> Ca
     return CallsOfLight(whole, None if nothing else share, of_lamps)
 
 
-def calls_traced(renderer: Renderer, call: RenderCall) -> list[RenderCall]:
+def calls_traced(renderer: CheckedRenderer, call: RenderCall) -> list[RenderCall]:
     """The calls whose images may add up to the image of a call, for predictions; with paths from lamps if in doubt."""
     chosen = renderer.light_paths
     if chosen == "auto":
@@ -178,7 +175,7 @@ def left_out_of_paths(light_paths: str) -> SilhouetteWarning:
                              f"that turned light passes. check_gradient measures how much it is")
 
 
-def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tensor:
+def image_from_lamps(renderer: CheckedRenderer, own: CallsOfLight, number: int) -> Tensor:
     """(1, 3, H, W) the part of view `number`'s image by paths from lamps; attached to the scene, forwards and backwards."""
     call, view = own.of_lamps[number], own.whole.views[number]
     settings = call.integrand.settings
@@ -191,7 +188,7 @@ def image_from_lamps(renderer: Renderer, own: CallsOfLight, number: int) -> Tens
     return rendered(call)
 
 
-def call_from_lamps(renderer: Renderer, call: RenderCall, number: int, light_paths: str) -> RenderCall:
+def call_from_lamps(renderer: CheckedRenderer, call: RenderCall, number: int, light_paths: str) -> RenderCall:
     """The call of paths from lamps to view `number`; the other args and errors as of `calls_of_light`."""
     view: View = call.views[number]
     if not view.camera.kind.sees_points:

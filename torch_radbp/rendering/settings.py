@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import TypedDict
+from typing import Protocol, TypedDict
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from torch import nn
 
 import torch_radbp.adjoint as adjoint
 from torch_radbp.adjoint.strategy import AdjointStrategy
+from torch_radbp.boundary.terms.jump_watch import JumpWatch
 from torch_radbp.integrator.settings import depths
 from torch_radbp.path.state import Settings
 from torch_radbp.plugin import REGISTRY, Sensor, boolean, integer, nearest
@@ -48,6 +49,17 @@ class RendererSettings(TypedDict, total=False):
     terms: Collection[str]
     share_samples: bool
     light_paths: str | None
+
+
+class CheckedRenderer(Protocol):
+    """What of a renderer the functions beside it read: its settings, checked, and its warnings."""
+
+    scene: Scene
+    sampling: str
+    nee: bool
+    hide_emitters: bool
+    light_paths: str
+    jump_watch: JumpWatch
 
 
 def checked_scene(scene: Scene) -> Scene:
@@ -94,7 +106,7 @@ def check_settings(renderer: nn.Module) -> None:
         raise ValueError(f"sampling={renderer.sampling!r} is not known; {nearest(str(renderer.sampling), SAMPLINGS)}")
 
 
-def settings_of_integrand(renderer: nn.Module, scene: SceneTensors, cameras: Sequence[Camera]) -> Settings:
+def settings_of_integrand(renderer: CheckedRenderer, scene: SceneTensors, cameras: Sequence[Camera]) -> Settings:
     """The settings with which the integrand of a call is compiled: which rays carry derivatives."""
     sampling = renderer.sampling
     moving = sampling == "attached" or any_differentiated((scene.triangles, cameras)) or (

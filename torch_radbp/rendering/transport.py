@@ -10,6 +10,7 @@ from torch import Tensor
 from torch_radbp.adjoint.rendered import rendered
 from torch_radbp.boundary.terms.jump_watch import SilhouetteWarning
 from torch_radbp.call.chunks import LEAST_LANES, LaneRange
+from torch_radbp.call.render_call import RenderCall
 from torch_radbp.call.sink import Sink
 from torch_radbp.call.source import PathSource
 from torch_radbp.call.wavefronts import Wavefront
@@ -22,7 +23,7 @@ from torch_radbp.tensors.differentiated import any_differentiated
 Keys = tuple[SampleKey, SampleKey]  # of random numbers: of the image, and of its derivative
 
 
-def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink, lanes: int,
+def transport(renderer: Renderer, source: Callable[[Keys], PathSource], sink: Sink[RenderCall], lanes: int,
               seed: int | None = None) -> Tensor:
     """The values that a sink gathers from paths of a source; attached to scene and source, in forward and backward mode.
 

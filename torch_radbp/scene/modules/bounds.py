@@ -1,4 +1,7 @@
-"""The ranges of a scene's parameters, and the clamping of values to these."""
+"""The ranges of a scene's parameters, and the clamping of values to these.
+
+It sets `Scene.clamping`, which `Scene.clamp_` calls.
+"""
 
 from __future__ import annotations
 
@@ -83,3 +86,6 @@ def held_by(scene: Scene, optimizer: torch.optim.Optimizer) -> dict[str, Held]:
     """The values of a scene, by name, that depend on the parameters of an optimizer."""
     moved = {id(parameter) for group in optimizer.param_groups for parameter in group["params"]}
     return {name: held for name, held in held_values(scene).items() if not moved.isdisjoint(held.reach)}
+
+
+Scene.clamping = staticmethod(clamp)

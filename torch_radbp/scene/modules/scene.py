@@ -65,6 +65,7 @@ class Scene(ModuleTree):
                 plugin.in_scene = True
 
     converter: ClassVar[Callable[[Scene], trimesh.Scene]]  # set by `torch_radbp.io.trimesh_out`
+    clamping: ClassVar[Callable[[Scene, str | Iterable[str] | None], None]]  # set by `torch_radbp.scene.modules.bounds`
 
     if TYPE_CHECKING:  # objects of the scene are known by their names only when it is loaded
         def __getattr__(self, name: str) -> Any: ...
@@ -259,9 +260,7 @@ class Scene(ModuleTree):
             AttributeError: if there is no such parameter; the message lists the nearest names.
             RuntimeError: if a value out of its range is that of a parametrisation without `right_inverse`.
         """
-        from torch_radbp.scene.modules.bounds import clamp  # which knows this class
-
-        clamp(self, names)
+        self.clamping(self, names)
         return self
 
     def name_of(self, plugin: nn.Module) -> str:
