@@ -26,7 +26,7 @@ ABSENT = {"bsdf blendbsdf: weight", "bsdf mask: opacity", "bsdf principled: anis
           "bsdf principledthin: spec_trans"}
 BOTH_ABSENT = {"bsdf blendbsdf: weight", "bsdf mask: opacity"}
 EXAMPLES = {str(pair): example for pair, example in examples().items()}
-SPP, BATCHES = 512, 8
+SPP, BATCHES = 256, 8
 DEEP = [pytest.mark.deep]
 LINEAR = {"weight": {"type": "blendbsdf", "weight": 0.5, "first": diffuse(0.2, 0.2, 0.2), "second": {"type": "conductor"}},
           "opacity": {"type": "mask", "nested": diffuse(0.2, 0.2, 0.2)}}
