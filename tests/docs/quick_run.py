@@ -21,9 +21,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot  # noqa: F401 (what scripts import, once for all)
+import torch
 import trimesh.creation  # noqa: F401
+from torch.autograd import forward_ad
 
 import torch_radbp as rb
+import torch_radbp.public  # noqa: F401
 from torch_radbp.training import cli
 
 RADBP = [sys.executable, "-m", "torch_radbp.training.cli"]
@@ -139,7 +142,14 @@ def run_forked(script: Path, folder: Path) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
 
 
+def import_what_tangents_need() -> None:
+    """Lets torch import what it imports when it meets the first tangent."""
+    with forward_ad.dual_level():
+        forward_ad.make_dual(torch.ones(1), torch.ones(1)) * torch.ones(1)
+
+
 if __name__ == "__main__":
+    import_what_tangents_need()
     if sys.argv[1:]:
         run_script(Path(sys.argv[1]))
     for line in [] if sys.argv[1:] else sys.stdin:
