@@ -18,7 +18,7 @@ def said(bsdf: dict, max_depth: int = 4) -> list[warnings.WarningMessage]:
                  floor=rectangle((0, -0.5, 0), 3, angle=-90, bsdf=diffuse(0.5, 0.5, 0.5)),
                  ball={"type": "sphere", "to_world": scale((0.5, 0.5, 0.5)), "bsdf": bsdf})
     pose = scene.ball.to_world.requires_grad_()
-    renderer = rb.Renderer(scene, spp=4, max_depth=max_depth, compile=False)
+    renderer = rb.Renderer(scene, spp=4, max_depth=max_depth)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for step in range(3):
