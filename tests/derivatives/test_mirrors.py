@@ -157,7 +157,7 @@ def test_a_lamp_in_a_ball_of_glass_loses_on_one_side_what_it_gains_on_the_other(
     for moving in ("glass.to_world", "lamp.to_world"):
         tangent = torch.zeros(4, 4)
         tangent[0, 3] = 4 * math.tan(math.radians(15)) / 16  # a pixel at the distance of the lamp
-        found = torch.stack([rb.jvp(scene, {moving: tangent}, seed=seed, spp=128, max_depth=2)[0, 0].sum(0)
+        found = torch.stack([rb.jvp(scene, {moving: tangent}, seed=seed, spp=512, max_depth=2)[0, 0].sum(0)
                              for seed in range(8)])
         sums.append(found.sum(1))
         moments.append((found * columns).sum(1))
