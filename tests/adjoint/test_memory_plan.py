@@ -4,12 +4,14 @@ Materials, textures, lights and what moves are of several kinds. Measured is wha
 resident memory, with the allocator's waste, and so may be larger.
 """
 
+from itertools import product
+
 import pytest
 import torch
 
 import torch_radbp as rb
 from tests.allocated import allocated
-from tests.deep import deep_but
+from tests.deep import deep
 from tests.light_paths.scenes import lit_ball
 from tests.scenes import cornell, load, rectangle, sensor
 from tests.scenes.endless import envmap, smooth_noise
@@ -93,11 +95,16 @@ def prepared(name: str, **settings) -> rb.Renderer:
     return renderer
 
 
-@pytest.mark.parametrize("settings", [{"chunk": 4096}, {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
-                                      {"chunk": 4096, "sampling": "attached"}, {"adjoint": rb.TapeAdjoint()}],
-                         ids=["stride 1", "log", "attached", "tape"])
-@pytest.mark.parametrize("name", deep_but(["a bitmap beside glass and metal", "paths from lamps"], CASES))
-def test_a_call_needs_what_is_predicted(name, settings):
+SETTINGS_OF_CALLS = {"stride 1": {"chunk": 4096}, "log": {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
+                     "attached": {"chunk": 4096, "sampling": "attached"}, "tape": {"adjoint": rb.TapeAdjoint()}}
+QUICK = [("a bitmap beside glass and metal", kind) for kind in SETTINGS_OF_CALLS] + [
+    ("paths from lamps", kind) for kind in ("stride 1", "log")]
+
+
+@pytest.mark.parametrize("name, kind", [
+    case if case in QUICK else deep(*case) for case in product(CASES, SETTINGS_OF_CALLS)])
+def test_a_call_needs_what_is_predicted(name, kind):
+    settings = SETTINGS_OF_CALLS[kind]
     if name in ("paths from lamps", "a caustic") and "adjoint" in settings and settings["adjoint"].taped:
         pytest.skip("what the tape keeps of deposits on the film is not predicted")
     renderer = prepared(name, **settings)
@@ -117,7 +124,7 @@ def test_compiled_bounces_that_are_replayed_keep_hits_and_no_states(adjoint):
     assert needed < 0.7 * all_kept and needed < planned < 1.5 * needed
 
 
-@pytest.mark.parametrize("name", ["a bitmap beside glass and metal", "vertices in a diffuse room"])
+@pytest.mark.parametrize("name", ["a bitmap beside glass and metal", deep("vertices in a diffuse room")])
 def test_a_call_stays_within_its_budget(name):
     free = prepared(name).memory_plan().peak
     renderer = prepared(name, memory_budget=free // 2)

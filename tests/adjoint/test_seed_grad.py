@@ -11,6 +11,7 @@ import torch
 
 import torch_radbp as rb
 from tests.adjoint.furnace import closed_form
+from tests.deep import deep_but
 from tests.gradients import image_and_gradients, relative_error, z_score
 from tests.scenes import CASES, cornell, furnace, parameters
 from tests.scenes.everything import build_everything
@@ -144,7 +145,7 @@ def test_a_loop_without_seeds_is_told_of_its_noise():
     assert told[0].filename == __file__
 
 
-@pytest.mark.parametrize("name", ["cornell", "lamps"])
+@pytest.mark.parametrize("name", deep_but(["cornell"], ["cornell", "lamps"]))
 def test_one_wavefront_of_both_samples_has_the_bits_of_two(name, monkeypatch):
     """Queues hold lanes of both; only those of the derivative are differentiated."""
     def rendered():

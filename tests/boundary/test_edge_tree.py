@@ -31,19 +31,21 @@ BODIES = {"floor and cube": {"floor": GREY_FLOOR, "cube": CUBE}, "waves": {"wave
           "turned triangles": {"mesh": TURNED, "cube": CUBE}}
 
 
-@pytest.fixture(params=[(name, dtype) for name in BODIES for dtype in (torch.float64, torch.float32)], ids=str)
-def casting(request, monkeypatch) -> tuple[Geometry, Casting]:
+@pytest.fixture(params=[(name, dtype) for name in BODIES for dtype in (torch.float64, torch.float32)], ids=str,
+                scope="module")
+def casting(request) -> tuple[Geometry, Casting]:
     """The geometry of a scene and its edges with their tree, as a rendering has them."""
     found, (name, dtype) = [], request.param
 
     def noted(stages, geometry, casting, *_):
         found.append((geometry, casting))
 
-    monkeypatch.setattr(hidden_light, "places_seen", noted)
     sky = {"type": "constant", "radiance": 1.0}
     scene = load(sensor=sensor(4, (0, 0, 3)), sky=sky, **BODIES[name]).to(dtype)
     pose = torch.eye(4, dtype=dtype)[None, 0].expand(4, 4) * 0.1
-    rb.jvp(scene, {"sensor.to_world": pose}, spp=4, max_depth=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hidden_light, "places_seen", noted)
+        rb.jvp(scene, {"sensor.to_world": pose}, spp=4, max_depth=2, compile=False)
     return found[0]
 
 

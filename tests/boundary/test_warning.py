@@ -41,7 +41,7 @@ def warnings_of(scene: rb.Scene, *names: str, calls: int = 1, **settings) -> lis
     """What the renderer says when derivatives of parameters are asked for."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="embree", terms=["interior"], **settings)
+    renderer = rb.Renderer(scene, spp=1, compile=False, max_depth=2, caster="embree", terms=["interior"], **settings)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(calls):
@@ -172,7 +172,7 @@ def test_shadows_of_what_has_silhouettes_in_view_are_not_named_again():
 def test_a_camera_that_is_not_rendered_does_not_count():
     scene = load(first=sensor(4), second=sensor(4, (0, 0, 9)), sky=SKY, plane=rectangle((0, 0, 0), 2, bsdf=PICTURE))
     scene.get_parameter("second.to_world").requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, terms=["interior"])
+    renderer = rb.Renderer(scene, spp=1, compile=False, max_depth=2, terms=["interior"])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         renderer(sensors=[0])
@@ -203,8 +203,9 @@ def test_without_gradients_there_is_no_warning_and_forward_mode_has_it_too():
     scene.requires_grad_(False)
     vertices = scene.get_parameter("box.vertex_positions")
     with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"):
-        rb.jvp(scene, {"box.vertex_positions": torch.ones_like(vertices)}, spp=1, max_depth=2, terms=["interior"])
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, terms=["interior"])
+        rb.jvp(scene, {"box.vertex_positions": torch.ones_like(vertices)}, spp=1, max_depth=2, terms=["interior"],
+               compile=False)
+    renderer = rb.Renderer(scene, spp=1, compile=False, max_depth=2, terms=["interior"])
     with pytest.warns(SilhouetteWarning, match="`box.vertex_positions`"), forward_ad.dual_level(), torch.no_grad():
         functional_call(renderer, {"scene.box.vertex_positions": forward_ad.make_dual(vertices, torch.ones_like(vertices))})
 
@@ -333,7 +334,7 @@ def soft_shadows(scene: rb.Scene, *names: str) -> list[str]:
     """The warnings about shadows, where edges in view are computed."""
     for name in names:
         scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2, caster="embree", terms=["interior", "primary"])
+    renderer = rb.Renderer(scene, spp=1, compile=False, max_depth=2, caster="embree", terms=["interior", "primary"])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):
@@ -356,7 +357,7 @@ def test_shadows_that_are_computed_are_not_warned_of(name):
         scene.get_parameter(name).requires_grad_()
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            rb.Renderer(scene, spp=1, max_depth=2, sampling=sampling)(seed=1)
+            rb.Renderer(scene, spp=1, compile=False, max_depth=2, sampling=sampling)(seed=1)
 
 
 @pytest.mark.parametrize("bsdf, light, max_depth, warned", [
@@ -371,7 +372,7 @@ def test_sharp_shadows_seen_in_a_mirror_are_warned_of_where_they_are_not_compute
     with pytest.warns(SilhouetteWarning, match=f"`light`, a light without.*{warned}") if warned else (
             warnings.catch_warnings()):
         warnings.simplefilter("always" if warned else "error", SilhouetteWarning)
-        rb.Renderer(scene, spp=1, max_depth=max_depth, light_paths="camera")(seed=1)
+        rb.Renderer(scene, spp=1, compile=False, max_depth=max_depth, light_paths="camera")(seed=1)
 
 
 @pytest.mark.parametrize("kind, others, said", [
@@ -382,7 +383,7 @@ def test_edges_that_cameras_see_in_ideal_mirrors_and_glass_are_not_warned_of(kin
     scene.get_parameter("box.to_world").requires_grad_()
     with pytest.warns(SilhouetteWarning, match=said) if said else warnings.catch_warnings():
         warnings.simplefilter("always" if said else "error", SilhouetteWarning)
-        rb.Renderer(scene, spp=1, max_depth=4)(seed=1)
+        rb.Renderer(scene, spp=1, compile=False, max_depth=4)(seed=1)
 
 
 def test_what_is_hidden_of_a_sky_that_turns_stays_what_it_was():
@@ -408,7 +409,8 @@ BALL = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}}
 
 def caustics(max_depth: int = 4, light_paths: str = "camera", **objects) -> list[str]:
     """The warnings about light that paths from the camera do not find."""
-    renderer = rb.Renderer(load(camera=sensor(4), **objects), spp=1, max_depth=max_depth, light_paths=light_paths)
+    settings = {"max_depth": max_depth, "light_paths": light_paths}
+    renderer = rb.Renderer(load(camera=sensor(4), **objects), spp=1, compile=False, **settings)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):
@@ -442,7 +444,7 @@ def far_off(far: float, name: str, dtype: torch.dtype) -> list[str]:
     at = np.array((far, -0.5 * far, 0))
     scene = load(dtype, camera=sensor(4, at + (0, 0, 3.5), at), sky=SKY, box=CUBE | {"to_world": translate(at)})
     scene.get_parameter(name).requires_grad_()
-    renderer = rb.Renderer(scene, spp=1, max_depth=1)
+    renderer = rb.Renderer(scene, spp=1, compile=False, max_depth=1)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for seed in range(2):

@@ -88,7 +88,7 @@ def test_u_grows_the_same_way_whichever_way_round_a_triangle_is_numbered():
 @pytest.mark.parametrize("material", ["roughconductor", "roughdielectric"])
 @pytest.mark.parametrize("name", ["alpha", "alpha_u", "alpha_v"])
 def test_of_a_roughness_in_colour_the_mean_counts_and_of_an_image_the_luminance(name, material):
-    settings = {"spp": 4, "max_depth": 3}
+    settings = {"spp": 4, "max_depth": 3, "compile": False}
     picture = torch.tensor(texels(3, 2, 9), dtype=torch.float32)
     grey = (picture @ torch.tensor(LUMINANCE))[..., None].expand(-1, -1, 3)
     for coloured, plain, weights, texels_of in (

@@ -67,7 +67,9 @@ def sides_of(arrangement: Arrangement) -> Sides:
     return Sides(*differences.mean(0), found.mean(0), noise)
 
 
-QUICK = [Arrangement("cube on a floor", "point", "up"), Arrangement("wall on a floor", "point", "tilting")]
+QUICK = [Arrangement("cube on a floor", "point", "up")]
+
+
 def seen_to_change(body: str, lamp: str, motion: str) -> bool:
     """False if nothing is lit that the camera sees, or a floor moves within its plane."""
     return (body, lamp) != ("cube against a wall", "point behind") and (
@@ -75,8 +77,9 @@ def seen_to_change(body: str, lamp: str, motion: str) -> bool:
 
 
 WAYS = [(lamp, motion) for lamp in LAMPS for motion in MOTIONS]
-ROWS = [*QUICK, *(Arrangement(body, *way) for number, body in enumerate(BODIES) for place, way in enumerate(WAYS)
-                  if (place + 5 * number) % 7 == 0 and seen_to_change(body, *way))]
+ROWS = [*QUICK, Arrangement("wall on a floor", "point", "tilting"),
+        *(Arrangement(body, *way) for number, body in enumerate(BODIES) for place, way in enumerate(WAYS)
+          if (place + 5 * number) % 7 == 0 and seen_to_change(body, *way))]
 
 
 @pytest.mark.parametrize("arrangement", deep_but(QUICK, dict.fromkeys(ROWS)), ids=str)

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.scenes import diffuse, load, rgb, sensor
 from torch_radbp.io.values.transform import rotate, scale, translate
 from torch_radbp.tensors.vec import Vec3, dot
@@ -64,9 +65,10 @@ SCENES = {"stands on the floor": (0.0, SKY, {}), "passes through the floor": (-0
           "a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER}),
           "smoothly shaded": (-0.7, SKY, {"normals": LEANING}),
           "smoothly shaded, a sharp shadow on it": (-0.7, POINT, {"plate": BLOCKER, "normals": LEANING})}
+TOGETHER = ("before it a plate", "smoothly shaded, a sharp shadow on it")  # what others have one by one
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", deep_but([name for name in SCENES if name not in TOGETHER], SCENES))
 def test_light_from_a_wall_that_moves_along_a_floor_is_that_of_differences(name):
     bottom, lamp, objects = SCENES[name]
     scene = corner(bottom, lamp, **objects)
@@ -94,7 +96,7 @@ def quadrilateral(smooth: bool, *corners: tuple[float, float, float]) -> dict[st
             "recompute_normals": smooth}
 
 
-@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("smooth", deep_but([False], [False, True]))
 def test_at_the_end_of_an_edge_that_touches_a_wall_light_is_that_of_differences(smooth):
     """A floor's edge lies in a wall and ends with it, and both slide along: at the foot both are as bright, but right
     beside the end light changes within less than a thousandth of the floor."""

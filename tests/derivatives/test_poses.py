@@ -7,6 +7,7 @@ from torch.func import functional_call
 from torch.nn.utils import parametrize
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.gradients import cotangent, image_and_gradients, relative_error
 from tests.scenes.every_plugin import build
 
@@ -38,7 +39,7 @@ class Doubled(nn.Module):
         return x / 2
 
 
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["hybrid", "attached"]))
 @pytest.mark.parametrize("name, plugin, parameter", MOVES.values(), ids=MOVES)
 def test_the_gradient_reaches_what_a_parameter_is_made_of(name, plugin, parameter, sampling):
     path, settings = f"{plugin}.{parameter}", SETTINGS | {"sampling": sampling}

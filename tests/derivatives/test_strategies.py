@@ -10,7 +10,8 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import cotangent, image_and_gradients, relative_error
+from tests.gradients import cotangent, image_and_gradients, relative_error, unwarned_renderer
+from tests.scenes import parameters
 from tests.scenes.every_plugin import SCENES, build, subjects
 from tests.scenes.everything import EVERYTHING, build_everything
 from tests.scenes.pairs import examined, registered
@@ -22,8 +23,9 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 4, "rr_depth": 2, "compile": False}
 SPP = {"materials": 4, "shapes": 2, "textures": 4, "lamps": 4, "fog": 4, "smoke": 16}  # by which paths find every parameter
 SAMPLINGS = ("detached", "hybrid", "attached")
-COMPILED = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("log", keep_hits=False), rb.ReplayAdjoint(),
-            rb.QuadraticAdjoint())
+# One of each kind: what is compiled differs by whether bounces are replayed, traced again, or kept, not by the stride.
+KINDS = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("log", keep_hits=False), rb.ReplayAdjoint(),
+         rb.QuadraticAdjoint())
 STRATEGIES = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(3), rb.MemoizedAdjoint("sqrt"),
               rb.MemoizedAdjoint("log"), rb.MemoizedAdjoint(2, keep_hits=False), rb.ReplayAdjoint(), rb.QuadraticAdjoint())
 
@@ -44,10 +46,10 @@ def test_the_scenes_have_everything():
     assert not missing, missing
 
 
-@pytest.mark.parametrize("sampling, compiled", [
-    ("hybrid", False), deep("detached", False), deep("attached", False), deep("hybrid", True)])
+@pytest.mark.parametrize("sampling, strategies, compiled", [
+    ("hybrid", KINDS, False), *(deep(sampling, STRATEGIES, False) for sampling in SAMPLINGS), deep("hybrid", KINDS, True)])
 @pytest.mark.parametrize("name", deep_but(["lamps"], EVERYTHING))
-def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling, compiled):
+def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling, strategies, compiled):
     def scene():
         return build_everything(name)
 
@@ -56,27 +58,28 @@ def test_every_strategy_gives_the_gradient_of_the_tape(name, sampling, compiled)
     assert torch.isfinite(image).all() and image.max() > 0
     for parameter, gradient in zip(names, expected):
         assert torch.isfinite(gradient).all() and gradient.abs().max() > 0, parameter
-    # What is compiled differs by whether bounces are replayed, traced again, or kept, not by the stride.
-    for adjoint in COMPILED if compiled else STRATEGIES:
+    for adjoint in strategies:
         found, gradients = gradients_of(scene, names, spp=SPP[name], sampling=sampling, adjoint=adjoint, compile=compiled)
         assert relative_error(found, image) < 1e-12, adjoint
         assert_same([f"{adjoint}: {parameter}" for parameter in names], gradients, expected, ORACLE)
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
-@pytest.mark.parametrize("name", deep_but(["lamps", "textures"], EVERYTHING))
+@pytest.mark.parametrize("name", deep_but(["lamps"], EVERYTHING))
 def test_forward_is_the_transpose_of_backward(name, sampling):
     scene = build_everything(name)
     names = subjects(scene)
     generator = torch.Generator().manual_seed(8)
     tangents = {parameter: torch.randn(scene.get_parameter(parameter).shape, generator=generator, dtype=torch.float64)
                 for parameter in names}
-    derivative = rb.jvp(scene, tangents, seed=8, sampling=sampling, **SETTINGS | {"spp": SPP[name]})
+    settings = SETTINGS | {"spp": SPP[name], "sampling": sampling}
+    derivative = rb.jvp(scene, tangents, seed=8, **settings)
     assert torch.isfinite(derivative).all() and derivative.abs().max() > 0
+    wanted = parameters(scene, names)
+    image = unwarned_renderer(scene, **settings)(seed=8)
     seen = torch.zeros(len(names), dtype=torch.bool)
     for w in (torch.ones_like(derivative), derivative, cotangent(derivative)):
-        _, gradients = gradients_of(lambda: build_everything(name), names, seed=8, spp=SPP[name], sampling=sampling,
-                                    adj_image=w)
+        gradients = torch.autograd.grad(image, wanted, w, retain_graph=True)
         terms = torch.stack([(tangents[parameter] * gradient).sum() for parameter, gradient in zip(names, gradients)])
         assert abs(terms.sum() - (w * derivative).sum()) < TRANSPOSED * terms.abs().sum()
         seen |= terms.abs() > 100 * TRANSPOSED * terms.abs().sum()
@@ -98,7 +101,7 @@ def test_hybrid_is_detached_but_where_a_mirror_or_glass_is():
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
-@pytest.mark.parametrize("name", deep_but(["shapes"], EVERYTHING))
+@pytest.mark.parametrize("name", deep_but(["lamps"], EVERYTHING))
 def test_chunks_do_not_matter(name, sampling):
     def scene():
         return build_everything(name)
@@ -113,7 +116,7 @@ def test_chunks_do_not_matter(name, sampling):
     assert_same(names, gradients, expected, 1e-11)
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
 @pytest.mark.parametrize("name", ["cube", "flat mesh", "dielectric", "brushed glass ggx", "area of a mesh", "projector"])
 def test_the_ray_caster_does_not_matter(name, sampling):
     names = subjects(build(name))
@@ -123,7 +126,7 @@ def test_the_ray_caster_does_not_matter(name, sampling):
     assert_same(names, gradients, expected, 1e-9)
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
 def test_gradients_of_several_sensors_add_up(sampling):
     """Each camera has its own gradient; what they share has the sum."""
     def scene():
@@ -147,7 +150,7 @@ def test_gradients_of_several_sensors_add_up(sampling):
     assert_same(names, together, [a + b for a, b in zip(*parts)], 1e-11)
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
 @pytest.mark.parametrize("adjoint", STRATEGIES, ids=repr)
 def test_the_backward_pass_casts_no_ray_if_hits_are_kept(adjoint, sampling):
     scene = build("dielectric")
@@ -160,7 +163,7 @@ def test_the_backward_pass_casts_no_ray_if_hits_are_kept(adjoint, sampling):
     assert (renderer.last_caster.rays_cast == before) == adjoint.keep_hits
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
+@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
 def test_the_backward_pass_can_have_samples_of_its_own(sampling):
     names = [*subjects(build("perspective")), "plane.to_world"]
 

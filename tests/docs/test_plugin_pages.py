@@ -17,6 +17,7 @@ from docs.plugin_pages import page
 from docs.plugin_pictures import scene_of
 from docs.plugin_scenes import PLACE
 from docs.plugin_table import parameters, texts
+from torch_radbp import Renderer
 from torch_radbp.plugin import REGISTRY, Plugin, Texture, attributes
 
 PLUGINS = [(category, name) for category in REGISTRY for name in sorted(REGISTRY[category])]
@@ -61,6 +62,7 @@ def both(category: str, name: str, folder: Path) -> tuple[Tensor, Tensor]:
 @pytest.mark.parametrize("category, name", PLUGINS)
 def test_examples_render_as_printed_and_the_xml_means_the_same(category, name, tmp_path, monkeypatch, in_double_precision):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Renderer, "runs_compiled", lambda renderer: False)  # for so few samples that takes longer
     with warnings.catch_warnings():
         if EXAMPLES[category][name].like:  # is rendered as another, and says so
             warnings.simplefilter("ignore")

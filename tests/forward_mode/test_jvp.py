@@ -6,7 +6,7 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
-from tests.deep import deep_but_every
+from tests.deep import deep
 from tests.gradients import relative_error, unwarned_renderer
 from tests.scenes import CASES, load, parameters, rectangle, rgb, sensor, texels
 from tests.scenes.lights import EMITTERS, scene_of
@@ -84,7 +84,9 @@ def test_forward_is_the_transpose_of_backward_under_an_emitter(kind):
     assert_transposed(lambda: scene_of(kind), names, **SETTINGS | {"spp": 16})
 
 
-@pytest.mark.parametrize("kind", deep_but_every(4, MATERIALS))
+@pytest.mark.parametrize("kind", [  # every fourth, but of glass one
+    kind if place % 4 == 0 and kind not in ("bubble beckmann", "glass with bumps") else deep(kind)
+    for place, kind in enumerate(MATERIALS)])
 def test_forward_is_the_transpose_of_backward_on_a_material(kind):
     def described(material):
         """A dict of a scene: nested materials are children with names of their own."""

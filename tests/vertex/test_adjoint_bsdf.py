@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from tests.bsdf.lanes import light, material, values_of
+from tests.deep import deep_but_every
 from tests.scenes.materials import MATERIALS
 from torch_radbp.tensors.vec import Vec3, dot
 from torch_radbp.vertex.material import Material, sample
@@ -78,7 +79,7 @@ def assert_adjoint(description: dict[str, Any], bent: bool) -> None:
     assert ((camera.mean(0) - lamp.mean(0)) / error).abs().max() < 4.5
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", deep_but_every(3, MATERIALS))
 def test_the_adjoint_of_each_material_is_sampled(name):
     assert_adjoint(MATERIALS[name], False)
 
