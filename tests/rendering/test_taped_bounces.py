@@ -156,8 +156,8 @@ def test_errors_of_networks_are_told(calls):
 
 def row_of_lamps() -> rb.Scene:
     """Nine lamps over a floor."""
-    lamps = {f"lamp_{k}": rectangle((0.4 * k - 1.6, 1.5, 0.3), 0.1, angle=90, emitter={"type": "area", "radiance": rgb(9, k, 6)})
-             for k in range(9)}
+    lamps = {f"lamp_{k}": rectangle((0.4 * k - 1.6, 1.5, 0.3), 0.1, angle=90, emitter={
+        "type": "area", "radiance": rgb(9, k, 6)}) for k in range(9)}
     return load(torch.float32, sensor=sensor(8, (0, 1, 3.5), (0, 0.3, 0), 45), **lamps,
                 floor=rectangle((0, -0.5, 0), 1.5, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)))
 

@@ -78,9 +78,9 @@ def test_every_strategy_gives_the_gradient_of_the_tape(names, sampling, compile)
 
 
 @pytest.mark.parametrize("names, sampling", [
-    pytest.param(names, sampling, id=f"{name}-{sampling}",
-                 marks=[] if (name, sampling) in (("weights", "hybrid"), ("and geometry", "attached")) else pytest.mark.deep)
-    for name, names in (("weights", WEIGHTS), ("and geometry", GEOMETRY)) for sampling in ("hybrid", "detached", "attached")])
+    (WEIGHTS, "hybrid"), (GEOMETRY, "attached"), *(deep(WEIGHTS, sampling) for sampling in ("detached", "attached")),
+    *(deep(GEOMETRY, sampling) for sampling in ("hybrid", "detached"))],
+                         ids=lambda value: value if isinstance(value, str) else f"{len(value)} parameters")
 def test_forward_mode_is_the_transpose_of_backward(names, sampling):
     generator = torch.Generator().manual_seed(0)
     tangents = {name: torch.randn(room().get_parameter(name).shape, generator=generator, dtype=torch.float64)
