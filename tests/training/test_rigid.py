@@ -108,7 +108,7 @@ def pose_recipe(folder, edit_recipe):
     wall = '<scale value="4"/><rotate x="0.36" y="0.8" z="0.48" angle="10"/><translate y="1" z="0.4"/>'
     (folder / "scene.xml").write_text(text.replace('<translate y="1" z="-1"/>', wall))
     scene = rb.load(folder / "scene.xml")
-    image = rb.render(scene, spp=256, seed=9, max_depth=2, caster="brute")[0].detach()
+    image = rb.render(scene, spp=80, seed=9, max_depth=2, caster="brute")[0].detach()
     assert image.mean() > 0.01
     save_image(folder / "target.exr", image)
     return edit_recipe(COLOUR, POSE)
