@@ -145,11 +145,11 @@ def test_values_handed_over_hold_for_one_call():
         assert torch.equal(renderer(seed=3), before)
 
 
-@pytest.mark.parametrize("compile", [False, deep(True)], ids=["eager", "compiled"])
+@pytest.mark.parametrize("settings", [{"compile": False, "terms": ["interior"]}, deep({})], ids=str)
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-def test_tangents_and_gradients_may_alternate(compile):
+def test_tangents_and_gradients_may_alternate(settings):
     scene = scene_of(torch.float32)
-    renderer = rb.Renderer(scene, compile=compile, **SETTINGS)
+    renderer = rb.Renderer(scene, **SETTINGS, **settings)
     name = "hills.vertex_positions"
     tangent = torch.ones_like(scene.get_parameter(name))
 
@@ -157,10 +157,10 @@ def test_tangents_and_gradients_may_alternate(compile):
         return torch.func.jvp(lambda x: functional_call(renderer, {f"scene.{name}": x}, kwargs={"seed": 3}),
                               (scene.get_parameter(name).detach(),), (tangent,))[1]
 
-    expected = derivative(rb.Renderer(scene, compile=compile, **SETTINGS))
+    expected = derivative(rb.Renderer(scene, **SETTINGS, **settings))
     for _ in range(2):
         assert torch.equal(derivative(renderer), expected)
-        assert_nothing_is_stale(renderer, name, compile=compile)
+        assert_nothing_is_stale(renderer, name, **settings)
 
 
 def test_a_change_of_a_colour_makes_no_table_of_anything_else(monkeypatch):
