@@ -14,7 +14,7 @@ from torch_radbp.rendering.jvp import render_with_tangents
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 SETTINGS = {"spp": 2, "max_depth": 1, "terms": ["interior"], "share_samples": True}
 SLOPE, EXTENT = 0.5, 1000.0
-MIXED = 6  # directions in which a parameter is moved
+MIXED = 2  # directions in which a parameter is moved
 FILM = {"type": "hdrfilm", "width": 2, "height": 512, "rfilter": {"type": "box"}}
 # What has to have a derivative with respect to what; everything else has to be zero, or close to it by rounding.
 FOLLOWS = {

@@ -5,7 +5,7 @@ import pytest
 import torch_radbp as rb
 from benchmarks.lane_bytes import HEADER, LaneBytes, lane_bytes
 from benchmarks.scenes import SCENES
-from tests.deep import deep, deep_but
+from tests.deep import deep_but
 from torch_radbp.rendering.memory import RecordSizes
 
 pytest.importorskip("warp")
@@ -23,8 +23,9 @@ def test_a_path_carries_few_bytes_and_memory_is_planned_closely(name):
     assert found.records == others.get(name, still) and 0.95 <= found.plan_over_peak <= 1.2
 
 
+@pytest.mark.deep
 @pytest.mark.parametrize("settings", [
-    {"share_samples": True}, deep({"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)})], ids=str)
+    {"share_samples": True}, {"adjoint": rb.MemoizedAdjoint("log", keep_hits=False)}], ids=str)
 def test_so_it_is_with_other_settings(settings):
     assert 0.95 <= lane_bytes("cornell-box", *SIZE, **settings).plan_over_peak <= 1.3
 

@@ -24,7 +24,7 @@ def test_between_bounces_the_host_waits_for_nothing_and_makes_one_call(name):
     assert backward.of_call["waits"] == 1  # whether the gradients are finite
 
 
-@pytest.mark.parametrize("name", ["boundaries", "smoke", "networks"])
+@pytest.mark.parametrize("name", deep_but(["boundaries", "networks"], ["boundaries", "smoke", "networks"]))
 def test_media_are_passed_without_the_host_and_networks_asked_at_once(name):
     """Through media that scatter paths of the image and of its derivative are sampled otherwise: a call for each. Networks
     are run by torch, on as many lanes as ask each, for which the host waits once; not at the last bounce."""

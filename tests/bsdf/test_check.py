@@ -54,7 +54,8 @@ def test_a_new_bsdf_without_a_row_is_named():
         del REGISTRY["bsdf"]["glitter"]
 
 
-@pytest.mark.parametrize("name", deep_but(covering(MATERIALS), MATERIALS))
+@pytest.mark.parametrize("name", deep_but(covering({name: bsdf for name, bsdf in MATERIALS.items()
+                                                    if name != "blend of principled"}), MATERIALS))  # `blend` is quicker
 def test_a_material_is_what_it_says(name):
     result = check_bsdf(material(MATERIALS[name]), **QUICK)
     assert result.agrees, str(result)

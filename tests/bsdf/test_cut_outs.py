@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from tests.scenes.materials import MATERIALS
@@ -54,8 +55,8 @@ def rendered(scene: rb.Scene, **settings: Any) -> Tensor:
     return unwarned_renderer(scene, **{"spp": 16, "max_depth": 4} | settings)(seed=6)
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("dtype, compile", [(torch.float32, True), (torch.float64, False), deep(torch.float32, False),
+                                            deep(torch.float64, True)], ids=str)
 @pytest.mark.parametrize("weight", [0, 1])
 @pytest.mark.parametrize("pair", PAIRS)
 def test_a_blend_at_its_end_is_the_material_there(pair, weight, dtype, compile):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from tests.bsdf.lanes import LaneNumbers
-from tests.deep import deep, deep_but_every
+from tests.deep import deep, deep_but
 from torch_radbp.bsdf.conductor import ConductorKind
 from torch_radbp.bsdf.dielectric import DielectricKind
 from torch_radbp.bsdf.diffuse import DiffuseKind
@@ -42,6 +42,8 @@ KINDS = {
     "principled sheet": PrincipledThinKind(SHEET, (1.0, 1.0, 1.0, 1.0)),
     "principled film": PrincipledThinKind(("eta", "spec_trans"), (1.0, 1.0, 1.0, 1.0)),
 }
+SOME = ("diffuse", "dielectric", "brushed metal beckmann", "glass ggx", "plastic", "rough plastic beckmann", "principled",
+        "principled film")  # which are sampled quickly
 
 
 def grid(kind, dtype):
@@ -76,7 +78,7 @@ def coats(distribution: str, alpha, eta) -> list[Vec3]:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, deep(torch.float64)], ids=str)
-@pytest.mark.parametrize("name", deep_but_every(2, KINDS))
+@pytest.mark.parametrize("name", deep_but(SOME, KINDS))
 def test_sampling_stays_finite(name, dtype):
     kind = KINDS[name]
     values, wi = grid(kind, dtype)

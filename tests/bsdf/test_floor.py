@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.scenes import rectangle, sensor
 from torch_radbp.bsdf.microfacet import SMALLEST_ALPHA, microfacets
 from torch_radbp.tensors.vec import Vec3
@@ -48,8 +49,8 @@ def plate(distribution: str, alpha: float, kind: str = "roughconductor") -> rb.S
                          "sky": {"type": "envmap", "bitmap": sky}}).double()
 
 
-@pytest.mark.parametrize("kind", ["roughconductor", "roughdielectric"])
-@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+@pytest.mark.parametrize("distribution, kind", [("ggx", "roughconductor"), ("beckmann", "roughdielectric"),
+                                                deep("ggx", "roughdielectric"), deep("beckmann", "roughconductor")])
 def test_roughness_that_was_clamped_to_zero_comes_back(distribution, kind):
     settings = {"spp": 256, "max_depth": 3, "sampling": "attached"}
     target = rb.render(plate(distribution, 0.2, kind), seed=100, **settings)

@@ -7,6 +7,7 @@ import torch
 
 import torch_radbp as rb
 from tests.bsdf.lanes import LaneNumbers, direction, directions, light, material, random_numbers, sampled, values_of
+from tests.deep import deep
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.materials import MATERIALS
 from torch_radbp.check.finite import Lanes
@@ -75,7 +76,7 @@ EXTREMES = {
 }
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("dtype", [torch.float32, deep(torch.float64)], ids=str)
 @pytest.mark.parametrize("name", EXTREMES)
 def test_values_and_derivatives_stay_finite(name, dtype):
     bsdf = EXTREMES[name]().to(dtype)

@@ -20,6 +20,7 @@ from tests.bsdf.lanes import (
     sampled,
     values_of,
 )
+from tests.deep import deep
 from tests.scenes.materials import MATERIALS
 from torch_radbp.check.chi_square import SIGNIFICANCE, p_value
 from torch_radbp.check.lanes import unit_length_error
@@ -33,8 +34,9 @@ def subject_of(bsdf) -> Subject:
     return Subject(bsdf.kind(), lambda like: values_of(bsdf, like))
 
 
-@pytest.mark.parametrize("angle", VIEWERS)
-@pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.parametrize("name, angle", [
+    (name, angle) if (first + second) % 2 else deep(name, angle)
+    for first, name in enumerate(SMOOTH) for second, angle in enumerate(VIEWERS)])
 def test_directions_follow_their_density(name, angle):
     if VIEWERS[angle] < 0 and not KINDS[name].transmits:
         pytest.skip("black from behind")

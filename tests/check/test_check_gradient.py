@@ -7,6 +7,7 @@ from torch.nn.utils import parametrize
 
 import torch_radbp as rb
 from tests.boundary.closed_forms import parallel
+from tests.deep import deep
 from tests.scenes import CASES, cornell, diffuse, load, rectangle, rgb, sensor, textured_lamp
 from torch_radbp.check import gradient as check_module
 from torch_radbp.check.gradient import checked_direction, checked_step, informative_cotangents
@@ -139,8 +140,8 @@ ALONG_X = torch.zeros(4, 4)
 ALONG_X[0, 3] = 1.0
 
 
-@pytest.mark.parametrize("edge", [0.5, 0.4901])
-@pytest.mark.parametrize("direction", [None, ALONG_X], ids=["random", "along x"])
+@pytest.mark.parametrize("edge, direction", [(0.5, None), (0.4901, ALONG_X), deep(0.5, ALONG_X), deep(0.4901, None)],
+                         ids=["on the border-random", "beside it-along x", "on the border-along x", "beside it-random"])
 def test_an_edge_that_moves_over_the_border_of_pixels_is_no_silhouette_that_is_left_out(edge, direction):
     """Where it stands on the border, or within a step from it, differences are the mean of two derivatives."""
     result = rb.check_gradient(lamp(edge), "lamp.to_world", spp=512, max_depth=1, batches=16, direction=direction)

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, sensor
 from torch_radbp.call import chunks
@@ -86,8 +87,8 @@ def test_images_are_the_sums_of_samples_over_the_sums_of_the_filter(name, border
 
 
 @pytest.mark.parametrize("compile", [False, True])
-@pytest.mark.parametrize("border", [False, True])
-@pytest.mark.parametrize("name", ["box", "gaussian", "lanczos"])
+@pytest.mark.parametrize("name, border", [("box", False), ("gaussian", True), ("lanczos", False), *(
+    deep(*case) for case in (("box", True), ("gaussian", False), ("lanczos", True)))])
 def test_images_have_the_same_bits_in_bands_and_chunks_of_any_size(name, border, compile, monkeypatch):
     """Bands of one row are less than a sample reaches."""
     def image(band: int, **settings) -> tuple[int, torch.Tensor]:
@@ -123,7 +124,7 @@ def test_what_lanes_are_asked_for_is_the_transpose(name):
     assert float((adjoint[0] * torch.from_numpy(values[:, 0])).sum()) == pytest.approx(product, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", ["tent", "lanczos"])
+@pytest.mark.parametrize("name", ["tent", deep("lanczos")])
 def test_recorded_sums_have_the_derivatives_of_autograd_and_second_ones(name):
     kernel, generator = FILTERS[name].kernel(), torch.Generator().manual_seed(1)
     u, v, *values = (torch.rand(12, generator=generator, dtype=torch.float64) for _ in range(4))

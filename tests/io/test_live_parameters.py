@@ -107,7 +107,7 @@ def test_a_parameter_becomes_that_of_the_scene_and_gets_the_gradient(value, obje
     parameter = nn.Parameter(value.clone())
     loaded = scene(**objects(parameter))
     assert loaded.get_parameter(name) is parameter
-    rb.render(loaded, spp=16, max_depth=3, sampling="attached").square().sum().backward()
+    rb.render(loaded, spp=16, max_depth=3, sampling="attached", compile=False).square().sum().backward()
     assert parameter.grad.isfinite().all() and parameter.grad.abs().max() > 0
     plain = scene(**objects(value.clone()))
     assert not plain.get_parameter(name).requires_grad

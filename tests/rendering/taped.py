@@ -32,6 +32,10 @@ def crossing(dtype: torch.dtype) -> rb.Scene:
 SCENES = {"closed box": lambda dtype: cornell(dtype, 12), "textures": lambda dtype: textured(dtype=dtype),
           "two sides": two_sided, "sky and points": sky_and_points, "instances and balls": crossing}
 
+WAYS = [(name, sampling) for name in SCENES for sampling in ("detached", "hybrid", "attached")]
+SOME = [("closed box", "detached"), ("textures", "hybrid"), ("two sides", "attached"), ("sky and points", "detached"),
+        ("instances and balls", "attached")]  # each scene, and each sampling
+
 
 def singly(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on nothing is recorded of bounces."""

@@ -98,10 +98,11 @@ def test_forward_mode_of_every_plugin_and_parameter_compiles_to_what_it_is_eager
 
 
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
-@pytest.mark.parametrize("sampling", ["hybrid", deep("attached")])
-@pytest.mark.parametrize("name", deep_but(["textures"], EVERYTHING))
-def test_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling, no_mirrors):
-    settings, results = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling}, []
+@pytest.mark.parametrize("name, sampling, chosen", [
+    *((name, "hybrid", {"terms": ["interior"]}) for name in ("lamps", "shapes")),
+    *(deep(name, sampling, {}) for name in EVERYTHING for sampling in ("hybrid", "attached"))], ids=str)
+def test_every_plugin_and_parameter_compiles_to_what_it_is_eagerly(name, sampling, chosen, no_mirrors):
+    settings, results = {"spp": 2, "max_depth": 4, "rr_depth": 2, "sampling": sampling} | chosen, []
     for compile in (False, True):
         scene = build_everything(name)
         names = [name for name, _ in scene.named_parameters()]

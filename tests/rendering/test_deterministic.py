@@ -88,7 +88,7 @@ def test_no_plugin_calls_what_torch_refuses(name, monkeypatch):
     scene = build_everything(name)
     wanted = [parameter.requires_grad_() for _, parameter in scene.named_parameters()]
     with Refusals() as refusals:
-        image = rb.Renderer(scene, spp=1, max_depth=3, caster="brute", compile=False)(seed=1)
+        image = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", compile=False)(seed=1)
         gradients = torch.autograd.grad(image.sum(), wanted, allow_unused=True)
     assert any(gradient is not None and gradient.any() for gradient in gradients)
     assert not refusals.found

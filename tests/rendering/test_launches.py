@@ -17,7 +17,7 @@ from tests.jit.emulated import Emulated
 from tests.jit.interpreter import interpreted, needs_interpreter
 from tests.rendering.host import exchanges
 from tests.rendering.on_gpu import render_on
-from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
+from tests.rendering.taped import SCENES, SETTINGS, SOME, WAYS, rendered, singly
 from tests.scenes import CASES, cornell, load, media, overhead, rectangle, rgb, smoke
 from tests.scenes.closed_box import closed_box
 from tests.scenes.mirrors import BALL, CUBE, MIRROR, SKY, VIEWED
@@ -59,15 +59,14 @@ def assert_same_bits(build, gpu: Gpu, monkeypatch, **settings) -> int:
     return found
 
 
-@pytest.mark.parametrize("sampling", deep_but(["detached", "attached"], ["detached", "hybrid", "attached"]))
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, sampling", [case if case in SOME else deep(*case) for case in WAYS])
 def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu, monkeypatch):
     found = assert_same_bits(lambda: SCENES[name](torch.float32), gpu, monkeypatch, sampling=sampling)
     assert found == 2 * SMALL["max_depth"]  # one for each bounce, forwards and backwards
 
 
-@pytest.mark.parametrize("settings", [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"share_samples": True},
-                                      {"adjoint": rb.MemoizedAdjoint("log")},
+@pytest.mark.parametrize("settings", [{"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)},
+                                      {"adjoint": rb.MemoizedAdjoint("log"), "share_samples": True},
                                       {"max_depth": 1}, *map(deep, [
                                           {"adjoint": rb.ReplayAdjoint()}, {"adjoint": rb.QuadraticAdjoint()},
                                           {"hide_emitters": True}, {"nee": False}, {"chunk": 50}])], ids=str)
@@ -274,7 +273,7 @@ def test_paths_from_lamps_have_the_bits_of_single_calls(light_paths, material, g
     assert found > 3 * SMALL["max_depth"]  # of camera paths, and of those from lamps
 
 
-@pytest.mark.parametrize("name", deep_but(["two sides", "boundaries", "networks"], [*SCENES, *MEDIA, "networks"]))
+@pytest.mark.parametrize("name", deep_but(["boundaries", "networks"], [*SCENES, *MEDIA, "networks"]))
 def test_graphs_have_the_bits_of_launches(name, gpu, monkeypatch):
     """Of bounces, the rays among them. Here each sequence is made a graph, as if it had come before."""
     def build() -> rb.Scene:
@@ -308,9 +307,10 @@ def both_ways(renderer: rb.Renderer) -> None:
         RenderFunction.backward(image.grad_fn, cotangent(image.detach()))
 
 
-@pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(), rb.MemoizedAdjoint(2), rb.MemoizedAdjoint(2, keep_hits=False)],
-                         ids=repr)
-@pytest.mark.parametrize("taped", [True, False])
+@pytest.mark.parametrize("taped, adjoint", [(True, rb.MemoizedAdjoint()), (True, rb.MemoizedAdjoint(2)),
+                                            (True, rb.MemoizedAdjoint(2, keep_hits=False)),
+                                            (False, rb.MemoizedAdjoint(2, keep_hits=False)),
+                                            deep(False, rb.MemoizedAdjoint()), deep(False, rb.MemoizedAdjoint(2))], ids=repr)
 def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeypatch):
     """And calls no function of lanes: what is left of a bounce in Python does not depend on what happens there."""
     monkeypatch.setattr("torch_radbp.rendering.cost.memory_of", lambda device: float("inf"))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.derivatives.frozen import Decisions, HeldCaster
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.jit.emulated import Emulated
@@ -158,8 +159,8 @@ PARAMETERS = ("white.reflectance.value", "light.emitter.radiance.value", "box.to
 
 
 @quiet
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("share", [False, True], ids=["", "share_samples"])
+@pytest.mark.parametrize("share, sampling", [(False, "hybrid"), (True, "attached"), deep(False, "attached"),
+                                             deep(True, "hybrid")])
 def test_strategies_and_plain_autograd_agree(share, sampling):
     """Derivatives by the scene, by origins and by directions; shadows included."""
     scene = cornell()
@@ -229,7 +230,7 @@ def test_forward_mode_is_the_transpose_of_backward_mode():
     assert float((along * w).sum()) == pytest.approx(by_rays, rel=1e-9)
 
 
-@pytest.mark.parametrize("sampling", ["attached", "hybrid"])
+@pytest.mark.parametrize("sampling", [deep("attached"), "hybrid"])
 def test_gradcheck_by_origins_and_directions(sampling):
     """Of radiance at one seed, attached; with proposal and hits held otherwise, see `tests/derivatives/frozen.py`."""
     scene = cornell()

@@ -14,13 +14,14 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.gradients import cotangent
 from tests.rendering.host import exchanges
 from tests.scenes.closed_box import closed_box
 from tests.scenes.networks import room
 from torch_radbp.adjoint.function import RenderFunction
 
-SHALLOW, DEEP = 3, 5
+SHALLOW, DEEP = 2, 4
 
 SCENES = {  # with the exchanges of a bounce
     "one material": (lambda: closed_box({"type": "twosided", "bsdf": {"type": "diffuse"}}), 2),
@@ -52,7 +53,7 @@ def of_second_call(scene: rb.Scene, depth: int) -> Counter:
 
 
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning", "ignore::torch_radbp.JumpWarning")
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", deep_but(["two materials", "other backs", "many lights", "networks"], SCENES))
 def test_a_bounce_asks_the_device_for_the_numbers_of_lanes_only(name):
     make, allowed = SCENES[name]
     scene = make()

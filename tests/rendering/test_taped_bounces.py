@@ -5,8 +5,8 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.rendering.taped import SCENES, SETTINGS, rendered, singly
-from tests.scenes import cornell, sky_and_points, two_sided
+from tests.rendering.taped import SCENES, SETTINGS, SOME, WAYS, rendered, singly
+from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor, sky_and_points, two_sided
 from tests.scenes.everything import build_everything
 from tests.scenes.networks import Function, lit_room, mlp, room
 from torch_radbp.adjoint import record
@@ -49,8 +49,7 @@ def assert_same_bits(build, calls, monkeypatch, **settings) -> None:
         assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
 
 
-@pytest.mark.parametrize("sampling", ["detached", "hybrid", "attached"])
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name, sampling", [case if case in SOME else deep(*case) for case in WAYS])
 def test_images_and_gradients_have_the_same_bits(name, sampling, calls, monkeypatch):
     assert_same_bits(lambda: SCENES[name](torch.float32), calls, monkeypatch, sampling=sampling)
 
@@ -61,13 +60,13 @@ def test_so_they_have_with_every_strategy(adjoint, calls, monkeypatch):
     assert_same_bits(lambda: cornell(torch.float32), calls, monkeypatch, adjoint=adjoint)
 
 
-@pytest.mark.parametrize("settings", [{"hide_emitters": True}, {"nee": False}, {"share_samples": True}, {"chunk": 50},
+@pytest.mark.parametrize("settings", [{"hide_emitters": True, "nee": False}, {"share_samples": True}, {"chunk": 50},
                                       {"max_depth": 1}, {"max_depth": 2}, {"spp": 1}], ids=str)
 def test_so_they_have_with_other_settings(settings, calls, monkeypatch):
     assert_same_bits(lambda: two_sided(torch.float32), calls, monkeypatch, **settings)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=str)
+@pytest.mark.parametrize("dtype", [deep(torch.float32), torch.float64], ids=str)  # above all is of float32
 @pytest.mark.parametrize("name", deep_but(["shapes"], ["materials", "shapes", "textures", "lamps"]))
 def test_so_they_have_with_every_plugin(name, dtype, calls, monkeypatch):
     def build() -> rb.Scene:
@@ -111,15 +110,17 @@ def test_rays_are_counted(monkeypatch):
     assert found == rays() > 0
 
 
-@pytest.mark.parametrize("settings", [{"sampling": "detached"}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)},
-                                      *map(deep, [{"sampling": "attached"}, {"nee": False}, {"adjoint": rb.ReplayAdjoint()},
-                                                  {"chunk": 40}, {"share_samples": True}])], ids=str)
-@pytest.mark.parametrize("build", [room, lit_room], ids=lambda build: build.__name__)
+@pytest.mark.parametrize("build, settings", [
+    (room, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}), (lit_room, {"sampling": "detached"}),
+    *(deep(build, settings) for build in (room, lit_room) for settings in (
+        {"sampling": "attached"}, {"nee": False}, {"adjoint": rb.ReplayAdjoint()}, {"chunk": 40}, {"share_samples": True})),
+    deep(room, {"sampling": "detached"}), deep(lit_room, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)})],
+                         ids=lambda value: value.__name__ if callable(value) else str(value))
 def test_so_they_have_with_networks(build, settings, calls, monkeypatch):
     assert_same_bits(lambda: build(dtype=torch.float32), calls, monkeypatch, **settings)
 
 
-@pytest.mark.parametrize("sampling", ["detached", "attached"])
+@pytest.mark.parametrize("sampling", ["detached", deep("attached")])
 def test_so_they_have_where_only_networks_are_wanted(sampling, calls, monkeypatch):
     def build() -> rb.Scene:
         scene = room(torch.float32)
@@ -153,9 +154,19 @@ def test_errors_of_networks_are_told(calls):
     assert calls
 
 
-@pytest.mark.parametrize("sampling", deep_but(["detached"], ["detached", "attached"]))
-def test_so_they_have_where_lamps_are_picked_by_place(sampling, calls, monkeypatch):
-    assert_same_bits(lambda: lit_room(lamps=9, dtype=torch.float32), calls, monkeypatch, sampling=sampling)
+def row_of_lamps() -> rb.Scene:
+    """Nine lamps over a floor."""
+    lamps = {f"lamp_{k}": rectangle((0.4 * k - 1.6, 1.5, 0.3), 0.1, angle=90, emitter={
+        "type": "area", "radiance": rgb(9, k, 6)}) for k in range(9)}
+    return load(torch.float32, sensor=sensor(8, (0, 1, 3.5), (0, 0.3, 0), 45), **lamps,
+                floor=rectangle((0, -0.5, 0), 1.5, angle=-90, bsdf=diffuse(0.5, 0.6, 0.7)))
+
+
+@pytest.mark.parametrize("build, sampling", [
+    (row_of_lamps, "detached"), *(deep(lambda: lit_room(lamps=9, dtype=torch.float32), sampling)
+                                  for sampling in ("detached", "attached"))], ids=["row-detached", "detached", "attached"])
+def test_so_they_have_where_lamps_are_picked_by_place(build, sampling, calls, monkeypatch):
+    assert_same_bits(build, calls, monkeypatch, sampling=sampling)
 
 
 def test_a_far_plane_is_heeded_though_the_scene_was_recorded_without_it(calls):
@@ -209,8 +220,8 @@ FORWARD = {"still": ("reflectance.value", "reflectance.data", "radiance.value"),
            "moving": ("reflectance.value", "to_world", "vertex_positions")}
 
 
-@pytest.mark.parametrize("what, sampling", [("still", "detached"), *(("moving", way) for way in (
-    "detached", "hybrid", "attached"))])
+@pytest.mark.parametrize("what, sampling", [("still", "detached"), ("moving", "hybrid"), deep("moving", "detached"),
+                                            deep("moving", "attached")])
 @pytest.mark.parametrize("name", ["closed box", *map(deep, ["textures", "two sides"])])
 def test_tangents_of_paths_that_are_traced_whole_have_the_same_bits(name, what, sampling, monkeypatch):
     scene, generator = SCENES[name](torch.float32), torch.Generator().manual_seed(2)

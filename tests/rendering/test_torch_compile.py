@@ -8,6 +8,7 @@ import torch
 from torch._dynamo.utils import counters
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import assert_informative
 from tests.scenes import cornell, parameters
 
@@ -41,7 +42,7 @@ def gradients(scene: rb.Scene) -> list[torch.Tensor]:
     return [scene.get_parameter(name).grad for name in NAMES]
 
 
-@pytest.mark.parametrize("backend", ["eager", "aot_eager"])
+@pytest.mark.parametrize("backend", ["eager", deep("aot_eager")])
 @pytest.mark.parametrize("adjoint", [None, rb.MemoizedAdjoint("sqrt", keep_hits=False), rb.TapeAdjoint()], ids=repr)
 def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint):
     scene, renderer = scene_and_renderer(adjoint=adjoint)
@@ -57,7 +58,7 @@ def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint)
     assert counters["stats"]["unique_graphs"] == 0  # nothing of the tracer
 
 
-@pytest.mark.parametrize("backend", ["eager", "aot_eager"])
+@pytest.mark.parametrize("backend", [deep("eager"), "aot_eager"])
 def test_a_compiled_step_has_the_same_loss_and_gradient(backend):
     scene, renderer = scene_and_renderer()
     other, plain = scene_and_renderer()

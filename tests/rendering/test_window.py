@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import assert_informative, cotangent, relative_error
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor
 from torch_radbp.film.hdrfilm import HDRFilm
@@ -145,8 +146,11 @@ def plate_and_lamp(rfilter: str) -> rb.Scene:
                 lamp={"type": "point", "position": [1.2, 0.9, 2.5], "intensity": rgb(9, 8, 7)})
 
 
-@pytest.mark.parametrize("term, window, spp", [("primary", (2, 5, 7, 6), 12), ("shadow", (1, 5, 11, 10), 128)])
-@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+PRIMARY, SHADOW = ("primary", (2, 5, 7, 6), 12), ("shadow", (1, 5, 11, 10), 128)
+
+
+@pytest.mark.parametrize("rfilter, term, window, spp", [("gaussian", *PRIMARY), ("box", *SHADOW), deep("box", *PRIMARY),
+                                                        deep("gaussian", *SHADOW)])
 def test_edges_and_shadows_add_to_a_window_what_they_add_to_the_whole_image(rfilter, term, window, spp):
     """They are sampled anew, so in the mean over seeds."""
     scene, count, settings = plate_and_lamp(rfilter), 16, {"spp": spp, "max_depth": 2, "terms": [term]}

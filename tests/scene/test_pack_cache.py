@@ -13,6 +13,7 @@ from torch.nn.utils import parametrize
 from torch.utils._pytree import tree_flatten
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.scenes import rectangle
 from tests.scenes.one_of_each import Half, scene_of
 from torch_radbp.emitter import envmap
@@ -36,9 +37,9 @@ def image_and_gradients(renderer: rb.Renderer, names: tuple[str, ...] = ()) -> l
     return [image.detach(), *gradients]
 
 
-def assert_nothing_is_stale(renderer: rb.Renderer, *names: str) -> None:
+def assert_nothing_is_stale(renderer: rb.Renderer, *names: str, **settings) -> None:
     """A call gives what a renderer gives that has never been called before, to the last bit."""
-    fresh = rb.Renderer(renderer.scene, **SETTINGS)
+    fresh = rb.Renderer(renderer.scene, **SETTINGS | settings)
     for found, expected in zip(image_and_gradients(renderer, names), image_and_gradients(fresh, names)):
         assert torch.equal(found, expected)
 
@@ -115,16 +116,21 @@ def test_what_has_changed_is_seen(change):
     assert_nothing_is_stale(renderer, "lamp.emitter.radiance.value", "sky.scale")
 
 
-@pytest.mark.parametrize("name", ["hills.vertex_positions", "hills.bsdf.reflectance.data", "sky.data", "sky.to_world",
-                                  "ball.to_world", "lamp.to_world", "ball.bsdf.alpha.value", "camera.to_world",
-                                  "spot.intensity.value"])
+TABLES = {"mesh": ["hills.vertex_positions"], "camera and ball": ["camera.to_world", "ball.to_world"],
+          "materials and spot": ["hills.bsdf.reflectance.data", "ball.bsdf.alpha.value", "spot.intensity.value"],
+          "sky and lamp": ["sky.data", "sky.to_world", "lamp.to_world"]}
+
+
+@pytest.mark.parametrize("names", [*TABLES.values(), *(deep([name]) for names in TABLES.values() for name in names
+                                                       if len(names) > 1)], ids="-".join)
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-def test_gradients_are_the_same_with_tables_taken_over(name):
+def test_gradients_are_the_same_with_tables_taken_over(names):
     renderer = rb.Renderer(scene_of(), **SETTINGS)
     renderer()
     for _ in range(2):
-        assert_nothing_is_stale(renderer, name)
-        write(name, lambda p: (p[:3] if len(p.shape) else p).mul_(0.99))(renderer.scene)
+        assert_nothing_is_stale(renderer, *names)
+        for name in names:
+            write(name, lambda p: (p[:3] if len(p.shape) else p).mul_(0.99))(renderer.scene)
         renderer.scene.get_parameter("hills.vertex_positions").data.mul_(0.98)
 
 
@@ -139,10 +145,11 @@ def test_values_handed_over_hold_for_one_call():
         assert torch.equal(renderer(seed=3), before)
 
 
+@pytest.mark.parametrize("settings", [{"compile": False, "terms": ["interior"]}, deep({})], ids=str)
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
-def test_tangents_and_gradients_may_alternate():
+def test_tangents_and_gradients_may_alternate(settings):
     scene = scene_of(torch.float32)
-    renderer = rb.Renderer(scene, **SETTINGS)
+    renderer = rb.Renderer(scene, **SETTINGS, **settings)
     name = "hills.vertex_positions"
     tangent = torch.ones_like(scene.get_parameter(name))
 
@@ -150,10 +157,10 @@ def test_tangents_and_gradients_may_alternate():
         return torch.func.jvp(lambda x: functional_call(renderer, {f"scene.{name}": x}, kwargs={"seed": 3}),
                               (scene.get_parameter(name).detach(),), (tangent,))[1]
 
-    expected = derivative(rb.Renderer(scene, **SETTINGS))
+    expected = derivative(rb.Renderer(scene, **SETTINGS, **settings))
     for _ in range(2):
         assert torch.equal(derivative(renderer), expected)
-        assert_nothing_is_stale(renderer, name)
+        assert_nothing_is_stale(renderer, name, **settings)
 
 
 def test_a_change_of_a_colour_makes_no_table_of_anything_else(monkeypatch):

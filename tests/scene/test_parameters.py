@@ -163,22 +163,26 @@ def test_the_gallery_renders():
     assert render(gallery()).isfinite().all()
 
 
+@pytest.fixture(scope="module")
+def renderer() -> rb.Renderer:
+    return rb.Renderer(gallery(), spp=1, max_depth=2)
+
+
 @pytest.mark.parametrize("name, value, message", WRONG.values(), ids=WRONG)
-def test_a_wrong_value_of_functional_call_is_named(name, value, message):
-    renderer = rb.Renderer(gallery(), spp=1, max_depth=2)
+def test_a_wrong_value_of_functional_call_is_named(name, value, message, renderer):
     with pytest.raises(ValueError, match=re.escape(f"parameter {name!r}") + ".*" + re.escape(message)):
         functional_call(renderer, {f"scene.{name}": value}, kwargs={"seed": 0})
     assert renderer().isfinite().all()
 
 
 @pytest.mark.parametrize("name, value, message", WRONG.values(), ids=WRONG)
-def test_a_wrong_value_of_data_is_named_also_after_a_rendering(name, value, message):
-    scene = gallery()
-    renderer = rb.Renderer(scene, spp=1, max_depth=2)
+def test_a_wrong_value_of_data_is_named_also_after_a_rendering(name, value, message, renderer):
     renderer()
-    scene.get_parameter(name).data = value
+    parameter = renderer.scene.get_parameter(name)
+    before, parameter.data = parameter.data, value
     with pytest.raises(ValueError, match=re.escape(f"parameter {name!r}") + ".*" + re.escape(message)):
         renderer()
+    parameter.data = before
 
 
 @pytest.mark.parametrize("name, value, message", MIXED.values(), ids=MIXED)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import MEMOIZED, QUADRATIC, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, sensor, texels
 from tests.scenes.parts import TO_UV
@@ -78,8 +79,8 @@ def room() -> rb.Scene:
                 beamer={"type": "projector", "to_world": down, "irradiance": board(), "fov": 50.0})
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("sampling, compile", [("hybrid", False), ("attached", True), deep("hybrid", True),
+                                               deep("attached", False)])
 def test_every_strategy_gives_the_gradient_of_the_tape(sampling, compile):
     names = [name for name, _ in room().named_parameters() if ".color" in name]
     assert len(names) == 12

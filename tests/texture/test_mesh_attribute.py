@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import MEMOIZED, QUADRATIC, cotangent, image_and_gradients, relative_error
 from tests.scenes import load, rectangle, rgb, sensor
 from tests.scenes.mesh_attributes import PLY, add_attributes, tetrahedron
@@ -111,8 +112,8 @@ NAMES = [name for name, _ in room().named_parameters() if "vertex_color" in name
          or name.endswith("scale")]
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
+@pytest.mark.parametrize("sampling, compile", [("hybrid", False), ("attached", True), deep("hybrid", True),
+                                               deep("attached", False)])
 def test_every_strategy_gives_the_gradient_of_the_tape(sampling, compile):
     assert len(NAMES) == 6
     settings = SETTINGS | {"sampling": sampling}

@@ -77,8 +77,10 @@ def test_every_strategy_gives_the_gradient_of_the_tape(names, sampling, compile)
             assert error < TOLERANCE, f"{adjoint}, {name}: relative error {error:.1e}"
 
 
-@pytest.mark.parametrize("sampling", ["hybrid", "detached", "attached"])
-@pytest.mark.parametrize("names", [WEIGHTS, [*WEIGHTS, *MOVING]], ids=["weights", "and geometry"])
+@pytest.mark.parametrize("names, sampling", [
+    (WEIGHTS, "hybrid"), (GEOMETRY, "attached"), *(deep(WEIGHTS, sampling) for sampling in ("detached", "attached")),
+    *(deep(GEOMETRY, sampling) for sampling in ("hybrid", "detached"))],
+                         ids=lambda value: value if isinstance(value, str) else f"{len(value)} parameters")
 def test_forward_mode_is_the_transpose_of_backward(names, sampling):
     generator = torch.Generator().manual_seed(0)
     tangents = {name: torch.randn(room().get_parameter(name).shape, generator=generator, dtype=torch.float64)
@@ -116,8 +118,8 @@ def test_weights_against_finite_differences():
 @pytest.mark.parametrize("of, moving", [("uv", "sensor.to_world"), ("position", "poster.to_world")])
 def test_gradcheck_of_weights_and_of_what_moves_the_place(of, moving):
     """The camera sees nothing but the poster, whose edges are out of view: the image is smooth in its pose."""
-    renderer = rb.Renderer(poster(textured(mlp(2 if of == "uv" else 3, 3), of), size=2), spp=1, max_depth=2, nee=False,
-                           sampling="attached", share_samples=True)
+    scene = poster(textured(mlp(2 if of == "uv" else 3, 3, width=2), of), size=2)
+    renderer = rb.Renderer(scene, spp=1, max_depth=2, nee=False, sampling="attached", share_samples=True)
     names = [f"scene.{name}" for name in (*weights(renderer.scene), moving)]
     values = [dict(renderer.named_parameters())[name].detach().clone() for name in names]
     pose = values.pop()
@@ -213,8 +215,9 @@ PARTNERS = {"alpha_u": {"alpha_v": 0.3}, "alpha_v": {"alpha_u": 0.3},
             "k": {"eta": 0.2}}  # by itself, with an index of 0, it turns the phase and reflects all
 
 
+@pytest.mark.parametrize("compile", [False, deep(True)], ids=["eager", "compiled"])
 @pytest.mark.parametrize("kind, name", deep_but_every(4, SLOTS))
-def test_a_module_can_stand_in_every_slot_of_every_material(kind, name):
+def test_a_module_can_stand_in_every_slot_of_every_material(kind, name, compile):
     """On a ball in a room, with the gradient of the tape."""
     outputs = 1 if "alpha" in name or name in ("weight", "opacity") else 3
 
@@ -228,7 +231,7 @@ def test_a_module_can_stand_in_every_slot_of_every_material(kind, name):
     names = weights(scene())
     reference, expected = image_and_gradients(scene(), names, adjoint=rb.TapeAdjoint(), **SETTINGS)
     assert_informative(reference, expected)
-    image, gradients = image_and_gradients(scene(), names, **SETTINGS)
+    image, gradients = image_and_gradients(scene(), names, compile=compile, **SETTINGS)
     assert relative_error(image, reference) < TOLERANCE
     for gradient, wanted in zip(gradients, expected):
         assert relative_error(gradient, wanted) < TOLERANCE

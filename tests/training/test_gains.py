@@ -68,6 +68,7 @@ def test_a_white_balance_gives_channels_gains_of_their_own(exposed, folder):
     assert torch.equal(gains[0], torch.ones(3))
 
 
+@pytest.mark.deep
 def test_without_gains_a_photograph_that_is_darker_makes_the_scene_dark(exposed, folder):
     """That the tests above can fail."""
     summary, _ = run(exposed, OVERRIDES, folder / "run", False, Console(quiet=True))

@@ -35,7 +35,7 @@ def test_what_is_masked_counts_neither_in_losses_nor_in_reports(masked, folder):
     assert read_image(folder / "run" / "images" / "camera_error.exr")[:, :4].max() == 0
     text = masked.read_text().replace('mask = "mask.png"\n', "")
     masked.write_text(text)
-    summary, _ = run(masked, overrides, folder / "without", False, Console(quiet=True))
+    summary, _ = run(masked, [*overrides, "steps=20", "report.spp=16"], folder / "without", False, Console(quiet=True))
     assert summary["parameters"][0]["largest_error"] > 0.2
 
 

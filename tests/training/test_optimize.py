@@ -8,6 +8,7 @@ import torch
 from rich.console import Console
 
 import torch_radbp as rb
+from tests.deep import deep
 from torch_radbp.bsdf.diffuse import DiffuseKind
 from torch_radbp.formats.image import save_image
 from torch_radbp.tensors.stage import EAGER
@@ -32,7 +33,7 @@ def run_quietly(folder, overrides=()):
     return summary
 
 
-@pytest.mark.parametrize("parametrisation", ["clamp", "sigmoid", "log"])
+@pytest.mark.parametrize("parametrisation", [deep("clamp"), "sigmoid", "log"])
 def test_reflectance_is_recovered(parametrisation, folder, edit_recipe):
     write_true_target(folder)
     if parametrisation == "log":

@@ -7,6 +7,7 @@ import pytest
 import torch
 from rich.console import Console
 
+from tests.deep import deep
 from torch_radbp.training.recovery import optimize
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
@@ -53,8 +54,11 @@ def interrupt_rendering_at(monkeypatch, interrupted_step):
     monkeypatch.setattr(optimize, "render_buffers", interrupted)
 
 
-@pytest.mark.parametrize("step", [0, 3])
-@pytest.mark.parametrize("overrides", [[], ['parameters.0.parametrisation="sigmoid"'], ["optimizer={name='rmsprop'}"]])
+SIGMOID, RMSPROP = ['parameters.0.parametrisation="sigmoid"'], ["optimizer={name='rmsprop'}"]
+
+
+@pytest.mark.parametrize("overrides, step", [([], 3), (SIGMOID, 0), (RMSPROP, 3), deep([], 0), deep(SIGMOID, 3),
+                                             deep(RMSPROP, 0)])
 def test_resumed_run_is_bit_identical(step, overrides, folder, monkeypatch):
     whole = start(folder, "whole", overrides=overrides)
     with monkeypatch.context() as patch:

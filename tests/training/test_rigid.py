@@ -108,7 +108,7 @@ def pose_recipe(folder, edit_recipe):
     wall = '<scale value="4"/><rotate x="0.36" y="0.8" z="0.48" angle="10"/><translate y="1" z="0.4"/>'
     (folder / "scene.xml").write_text(text.replace('<translate y="1" z="-1"/>', wall))
     scene = rb.load(folder / "scene.xml")
-    image = rb.render(scene, spp=256, seed=9, max_depth=2, caster="brute")[0].detach()
+    image = rb.render(scene, spp=80, seed=9, max_depth=2, caster="brute")[0].detach()
     assert image.mean() > 0.01
     save_image(folder / "target.exr", image)
     return edit_recipe(COLOUR, POSE)
@@ -138,8 +138,8 @@ def test_a_pivot_changes_steps_but_not_where_a_run_begins(pose_recipe):
 
 
 def test_pose_is_recovered_and_written(pose_recipe, folder):
-    # At 8 samples one seed in three still turns the wall too little after 60 steps.
-    overrides = ["steps=60", "optimizer.learning_rate=0.01", "render.spp=16", "render.max_depth=2"]
+    # At 8 samples one seed in three still turns the wall too little, after 60 steps even.
+    overrides = ["steps=40", "optimizer.learning_rate=0.01", "render.spp=16", "render.max_depth=2"]
     summary, report = run(pose_recipe, overrides, folder / "run", False, Console(quiet=True))
     pose = summary["parameters"][0]
     before, after = pose["pose_error_before"], pose["pose_error"]

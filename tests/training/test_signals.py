@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from tests.deep import deep
 from torch_radbp.training.interrupt import WORDS, Interrupts
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
@@ -104,9 +105,8 @@ def state_of(folder):
     return load_checkpoint(folder / "run" / FILE_NAME, 2**20)["step"]
 
 
-@pytest.mark.parametrize(
-    ("number", "code", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
-)
+@pytest.mark.parametrize("number, code, word", [(signal.SIGINT, 130, "interrupted"),
+                                                deep(signal.SIGTERM, 143, "terminated")])
 def test_a_signal_during_the_steps_saves_state_and_report(number, code, word, signalled, folder):
     got, stdout, stderr = signalled("reached(optimize, 'render_buffers', 3)", number)
     assert got == code and not stderr, stderr
@@ -137,7 +137,7 @@ def test_a_signal_before_the_first_image_says_how_to_continue(signalled, folder)
     assert stderr.strip() == "terminated" and state_of(folder) == 0
 
 
-PLACES = ["outcome, 'render_in_passes', 2", "outcome, '_parameter_summary'", "report, 'curves_section'"]
+PLACES = ["outcome, 'render_in_passes', 2", deep("outcome, '_parameter_summary'"), "report, 'curves_section'"]
 
 
 @pytest.mark.parametrize("place", PLACES)

@@ -4,6 +4,7 @@ import pytest
 import torch
 from rich.console import Console
 
+from tests.deep import deep
 from torch_radbp.training.recipe_file import read_recipe
 from torch_radbp.training.recovery import optimize
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError, load_checkpoint
@@ -136,7 +137,7 @@ def results(path):
     return tensors, rows
 
 
-@pytest.mark.parametrize("step", [1, 2, 3, 5])
+@pytest.mark.parametrize("step", [deep(1), 2, deep(3), 5])
 def test_a_run_that_is_interrupted_in_any_stage_continues_bit_for_bit(step, staged, monkeypatch):
     start(staged, "whole")
     render = optimize.render_buffers
