@@ -17,7 +17,7 @@ from tests.gradients import unwarned_renderer
 from torch_radbp.check.gradient import NEXT_SEED, checked_direction
 from torch_radbp.check.stencil import ParameterMove, inside
 
-BATCHES = 16
+BATCHES = 8  # the fewest by which standard errors are known well enough
 
 
 class Move(NamedTuple):
