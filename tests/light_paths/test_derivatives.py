@@ -10,7 +10,14 @@ from torch import Tensor
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import (
+    SOME,
+    assert_informative,
+    assert_transposed,
+    image_and_gradients,
+    relative_error,
+    unwarned_renderer,
+)
 from tests.light_paths.scenes import BALL, LAMPS, camera_named, lit_ball
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
 
@@ -27,9 +34,12 @@ ROWS = {
     "sun": ("directional", {"bsdf": GLASS}, ["lamp.to_world", "lamp.irradiance.value", "ball.to_world"]),
     "sky over plastic": ("envmap", {"bsdf": PLASTIC}, ["lamp.data", "ball.bsdf.diffuse_reflectance.value"]),
 }
-# Both kinds of light, by a lamp without mirrors and by one with; the other samplings of the latter.
-QUICK = {("point over a diffuse ball", "hybrid", "all"), *(("spot through glass", *each) for each in (
-    ("hybrid", "caustics"), ("hybrid", "all"), ("detached", "all"), ("attached", "caustics")))}
+# All light, by a lamp without mirrors and by one with, and caustics; each sampling once.
+QUICK = {("point over a diffuse ball", "detached", "all"), ("spot through glass", "hybrid", "all"),
+         ("spot through glass", "attached", "caustics")}
+# Plain torch, which is quicker here, of all lamps; compiled code, and attached sampling, through glass.
+TRANSPOSED = {*((row, "hybrid", False) for row in ROWS), ("area through rough glass", "attached", False),
+              ("spot through glass", "attached", False), ("spot through glass", "hybrid", True)}
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
@@ -57,12 +67,11 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(row, sampling,
                 assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max().clamp_min(1e-6), (adjoint, name)
 
 
-@pytest.mark.parametrize("row, sampling", [*((row, "hybrid") for row in ROWS), *(
-    (row, "attached") if "glass" in row else deep(row, "attached") for row in ROWS)])
-def test_forward_mode_and_the_backward_pass_are_transposed(row, sampling):
+@pytest.mark.parametrize("row, sampling, compile", [case if case in TRANSPOSED else deep(*case) for case in product(
+    ROWS, ("hybrid", "attached"), (False, True))])
+def test_forward_mode_and_the_backward_pass_are_transposed(row, sampling, compile):
     scene, names = scene_of(row)
-    for name in names[:1]:
-        assert_transposed(scene, name, spp=4, light_paths="all", terms=("interior",), sampling=sampling)
+    assert_transposed(scene, names[0], spp=4, light_paths="all", terms=("interior",), sampling=sampling, compile=compile)
 
 
 def over_a_floor(lamp: dict, height: float = 1.0, **objects) -> rb.Scene:
@@ -150,14 +159,15 @@ MOVES = {  # parameters, entries of them that move, and how far; by scenes, of w
 }
 
 
-@pytest.mark.parametrize("sampling", ["hybrid", "attached"])
-@pytest.mark.parametrize("name", deep_but(["glass before a spot", "ball below a bulb"], MOVES))
+@pytest.mark.parametrize("name, sampling", [case if case in (
+    ("glass before a spot", "attached"), ("ball below a bulb", "hybrid")) else deep(*case)
+    for case in product(MOVES, ("hybrid", "attached"))])
 def test_derivatives_are_those_of_differences(name, sampling):
     """Of means over seeds, by their standard errors."""
     build, moves = MOVES[name]
     scene = build()
     settings = {"spp": 64, "light_paths": "caustics", "terms": ("interior",), "max_depth": 5, "sampling": sampling}
-    renderer, wanted = rb.Renderer(scene, **settings), {name: scene.get_parameter(name) for name, *_ in moves}
+    renderer, wanted = unwarned_renderer(scene, **settings), {name: scene.get_parameter(name) for name, *_ in moves}
     ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
     w = 0.5 + ramp + ramp[:, None] ** 2
     expected = torch.empty(len(moves), 12)
@@ -183,30 +193,31 @@ def test_derivatives_are_those_of_differences(name, sampling):
         assert abs(float(own.mean() - difference.mean())) < max(3.5 * error, 0.03 * size), (parameter, place)
 
 
-@pytest.mark.parametrize("place", [(0, 3), (2, 0), (2, 3)])
-def test_a_mirror_that_moves_beside_a_lamp_is_right_by_default(place):
+def test_a_mirror_that_moves_beside_a_lamp_is_right_by_default():
     """Paths from the camera alone slide over the lamp's edge in the mirror: the last derivative has the wrong sign then."""
     lamp = rectangle((-0.9, 0, 1.0), 0.1, (0, 1, 0), 98, emitter={"type": "area", "radiance": rgb(60, 54, 48)})
     mirror = rectangle((0.9, 0, 0.8), 0.3, (0, 1, 0), -112, bsdf={"type": "conductor", "material": "none"})
     scene = over_a_floor(lamp, mirror=mirror)
-    renderer, wanted = rb.Renderer(scene, spp=64), scene.get_parameter("mirror.to_world").requires_grad_()
+    renderer, wanted = unwarned_renderer(scene, spp=64), scene.get_parameter("mirror.to_world").requires_grad_()
+    places = [(0, 3), (2, 0), (2, 3)]
     ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
     w = 0.5 + ramp + ramp[:, None] ** 2
-    found, expected = [], []
+    found, expected = torch.empty(2, len(places), 8)
     for seed in range(8):
-        sides = []
-        for sign in (1, -1):
-            with torch.no_grad():
-                wanted[place] += sign * 0.03
-                sides.append(renderer(seed=seed))
-                wanted[place] -= sign * 0.03
-        expected.append(float(((sides[0] - sides[1]) * w).sum()) / 0.06)
+        for place, row in zip(places, expected):
+            sides = []
+            for sign in (1, -1):
+                with torch.no_grad():
+                    wanted[place] += sign * 0.03
+                    sides.append(renderer(seed=seed))
+                    wanted[place] -= sign * 0.03
+            row[seed] = ((sides[0] - sides[1]) * w).sum() / 0.06
         gradient, = torch.autograd.grad((renderer(seed=seed + 100) * w).sum(), [wanted])
-        found.append(float(gradient[place]))
-    found, expected = torch.tensor(found), torch.tensor(expected)
-    error = math.sqrt(float(found.var() + expected.var()) / len(found))
-    assert error < 0.15 * abs(float(expected.mean()))  # enough to tell a wrong one
-    assert abs(float(found.mean() - expected.mean())) < max(3.5 * error, 0.03 * abs(float(expected.mean())))
+        found[:, seed] = torch.stack([gradient[place] for place in places])
+    for place, own, difference in zip(places, found, expected):
+        error, size = math.sqrt(float(own.var() + difference.var()) / len(own)), abs(float(difference.mean()))
+        assert error < 0.15 * size, place  # enough to tell a wrong one
+        assert abs(float(own.mean() - difference.mean())) < max(3.5 * error, 0.03 * size), place
 
 
 @pytest.mark.parametrize("name, moves", [("glass.to_world", True), ("glass.bsdf.eta", False)])
@@ -247,6 +258,7 @@ def test_edges_and_shadows_in_view_count_where_all_light_comes_from_lamps(name):
                  floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                  ball=BALL | {"center": [0.3, 0, 0.9]})
     wanted, found, expected = scene.get_parameter(parameter), [], []
+    renderer = unwarned_renderer(scene, light_paths="all")
     ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
     w = 0.5 + ramp + ramp[:, None] ** 2
     for seed in range(8):
@@ -255,11 +267,11 @@ def test_edges_and_shadows_in_view_count_where_all_light_comes_from_lamps(name):
         for sign in (1, -1):
             with torch.no_grad():
                 wanted[place] += sign * step
-                sides.append(rb.Renderer(scene, spp=512, light_paths="all")(seed=seed))
+                sides.append(renderer(seed=seed, spp=512))
                 wanted[place] -= sign * step
         expected.append(float(((sides[0] - sides[1]) * w).sum()) / (2 * step))
         wanted.requires_grad_()
-        gradient, = torch.autograd.grad((rb.Renderer(scene, spp=128, light_paths="all")(seed=seed) * w).sum(), [wanted])
+        gradient, = torch.autograd.grad((renderer(seed=seed, spp=128) * w).sum(), [wanted])
         found.append(float(gradient[place]))
     found, expected = torch.tensor(found), torch.tensor(expected)
     error = math.sqrt(float(found.var() + expected.var()) / len(found))

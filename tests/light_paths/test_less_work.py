@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep, deep_but
 from tests.light_paths.scenes import lit_ball
 from tests.scenes import diffuse, load, rectangle, sensor
 
@@ -34,7 +35,7 @@ def assert_same(here: list[torch.Tensor], there: list[torch.Tensor]) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", deep_but(["metal", "bumps on glass"], CASES))
 def test_whole_paths_bring_what_bounces_bring(case, monkeypatch):
     asked, whole = [], rb.path.trace.brought_by_whole_paths
     monkeypatch.setattr("torch_radbp.path.trace.brought_by_whole_paths",
@@ -46,8 +47,9 @@ def test_whole_paths_bring_what_bounces_bring(case, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("case, light_paths", [*((case, "all") for case in CASES), ("glass", "caustics"),
-                                               ("bumps on glass", "caustics")])
+@pytest.mark.parametrize("case, light_paths", [
+    ("metal", "all"), ("bumps on glass", "all"), ("bumps on glass", "caustics"),
+    deep("diffuse", "all"), deep("glass", "all"), deep("glass", "caustics")])
 def test_paths_that_bring_nothing_have_no_derivatives(case, light_paths, monkeypatch):
     here = found(case, light_paths)
     monkeypatch.setattr("torch_radbp.adjoint.bounce.lanes_may_be_left_out", lambda layout: False)

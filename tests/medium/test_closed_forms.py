@@ -19,6 +19,7 @@ from scipy.special import expn
 from torch import Tensor
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.scenes import load, overhead, rgb
 from tests.scenes.media import haze
 from torch_radbp.io.values.transform import rotate, scale
@@ -64,13 +65,18 @@ def test_every_phase_function_is_in_a_furnace():
     assert set(PHASES) == set(REGISTRY["phase"])
 
 
-@pytest.mark.parametrize("name", PHASES)
-def test_in_a_furnace_no_phase_function_gains_or_loses_light(name):
-    medium = {"type": "homogeneous", "sigma_t": rgb(0.8, 1.0, 1.5), "albedo": rgb(1, 1, 1),
-              "phase": {"type": name} | PHASES[name]}
-    scene = load(torch.float64, camera=overhead(2, 4.0, 0.5), sky={"type": "constant"},
-                 ball={"type": "sphere", "bsdf": NULL, "interior": medium})
-    assert_mean(scene, torch.ones(3, dtype=torch.float64), spp=1024, max_depth=64, rr_depth=64)
+@pytest.mark.parametrize("names", [tuple(PHASES), *(deep((name,)) for name in PHASES)], ids=" ".join)
+def test_in_a_furnace_no_phase_function_gains_or_loses_light(names):
+    """In a ball of shells, each of a medium with one of them."""
+    media = {f"in_{name}": {"type": "homogeneous", "sigma_t": rgb(0.8, 1.0, 1.5), "albedo": rgb(1, 1, 1),
+                            "phase": {"type": name} | PHASES[name]} for name in names}
+    outside, shells = {}, {}
+    for number, medium in enumerate(media):
+        within, radius = {"type": "ref", "id": medium}, 1.0 - 0.15 * number
+        shells[f"shell_{number}"] = {"type": "sphere", "radius": radius, "bsdf": NULL, "interior": within, **outside}
+        outside = {"exterior": within}
+    scene = load(torch.float64, camera=overhead(2, 4.0, 0.5), sky={"type": "constant"}, **media, **shells)
+    assert_mean(scene, torch.ones(3, dtype=torch.float64), spp=512, max_depth=64, rr_depth=64)
 
 
 PHASE = {0.0: lambda cosine: 0.25 / math.pi, 0.6: lambda cosine: 0.64 / (4 * math.pi * (1.36 - 1.2 * cosine)**1.5)}

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import SOME, cotangent, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from torch_radbp.plugin import REGISTRY, register
@@ -20,7 +21,6 @@ SIGMA = (0.25, 0.5, 0.875)
 FOG = {"type": "absorbing_fog", "sigma_a": rgb(*SIGMA)}
 NAME = "camera.medium.sigma_a.value"
 MIRROR = {"type": "conductor", "material": "none"}
-SAMPLINGS = ("detached", "hybrid", "attached")
 NEAR = 0.01  # from the camera to where its rays begin, the near plane
 SETTINGS = {"spp": 8, "max_depth": 4, "rr_depth": 2}
 
@@ -106,8 +106,9 @@ def test_a_sky_is_not_seen_through_it():
     assert dark.max() == 0 and bright.min() > 0
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("compile, sampling", [
+    (True, "hybrid"), (False, "detached"), (False, "attached"),
+    deep(False, "hybrid"), deep(True, "detached"), deep(True, "attached")])
 def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, sampling):
     """Of the absorption, and of what moves in it."""
     names = [NAME, "floor.bsdf.reflectance.value", "lamp.emitter.radiance.value", "bulb.position", "mirror.to_world"]

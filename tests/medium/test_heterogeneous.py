@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.deep import deep
+from tests.deep import deep, deep_but
 from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
@@ -25,21 +25,23 @@ from torch_radbp.volume.gridvolume import GridVolume
 
 CHANNELS = (1, 3)
 ROUGH = {"type": "roughdielectric", "int_ior": 1.3, "alpha": 0.3}
+BOUNDARIES = {"null": NULL, "glass": {"type": "dielectric", "int_ior": 1.3}}
 
 
 @pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
-@pytest.mark.parametrize("channels, thickness", [(1, 1.0), (3, 0.01), deep(1, 0.01), deep(3, 1.0)])  # thin: see below
-def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, thickness):
-    """In a boundary of glass, too, and in as many cells as the coarse grid has."""
+@pytest.mark.parametrize("channels, thickness, boundary", [case if case in (
+    (1, 1.0, "glass"), (3, 1.0, "null")) else deep(*case) for case in product(CHANNELS, (1.0, 0.01), BOUNDARIES)])
+def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, thickness, boundary):
+    """In as many cells as the coarse grid has."""
     colour = [thickness * each for each in ((0.5, 0.5, 0.5) if channels == 1 else (0.3, 0.5, 0.9))]
     even = torch.tensor(colour[:channels], dtype=torch.float64).expand(20, 9, 17, channels).contiguous()
     other = {"type": "homogeneous", "scale": 2.0, "albedo": rgb(0.9, 0.6, 0.3), "sigma_t": rgb(*colour),
              "phase": {"type": "hg", "g": 0.4}}
-    for bsdf in (NULL, {"type": "dielectric", "int_ior": 1.3}):
-        samples = torch.stack([torch.stack([rb.render(room(medium, bsdf), spp=1024, max_depth=4, seed=seed, compile=compile)
-                                            .mean((0, 2, 3)) for seed in range(8)]) for medium in (smoke(even), other)])
-        difference, error = samples.mean(1).diff(dim=0)[0], (samples.var(1) / 8).sum(0).sqrt()
-        assert (difference.abs() < 4 * error).all() and (error < 0.02 * samples.mean((0, 1))).all()
+    scenes = [room(medium, BOUNDARIES[boundary]) for medium in (smoke(even), other)]
+    samples = torch.stack([torch.stack([rb.render(scene, spp=1024, max_depth=4, seed=seed, compile=compile).mean((0, 2, 3))
+                                        for seed in range(8)]) for scene in scenes])
+    difference, error = samples.mean(1).diff(dim=0)[0], (samples.var(1) / 8).sum(0).sqrt()
+    assert (difference.abs() < 4 * error).all() and (error < 0.02 * samples.mean((0, 1))).all()
 
 
 @pytest.mark.parametrize("channels", CHANNELS)
@@ -68,7 +70,7 @@ def test_around_the_sensors_it_is_the_same_as_in_its_boundary():
     assert (difference.abs() < 4 * error).all() and (error < 0.01 * pair[0].mean(0)).all()
 
 
-@pytest.mark.parametrize("compile, channels", [deep(False, 1), (False, 3), deep(True, 1), (True, 3)])
+@pytest.mark.parametrize("compile, channels", [deep(False, 1), deep(False, 3), deep(True, 1), (True, 3)])
 def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, channels):
     image, expected = image_and_gradients(room(varied(channels)), NAMES, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
@@ -91,7 +93,7 @@ def before_a_lamp(medium: dict):
                 floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
 
 
-@pytest.mark.parametrize("channels", CHANNELS)
+@pytest.mark.parametrize("channels", deep_but([3], CHANNELS))
 def test_derivatives_are_those_of_differences(channels):
     moves = [Move(name, step) for name, step in zip(NAMES[:4], (0.1, 0.1, 0.3, 0.2))]
     for found in compared(before_a_lamp(varied(channels)), moves, spp=1 << 13, max_depth=4):
@@ -105,18 +107,18 @@ def test_where_extinction_is_0_derivatives_are_those_of_one_sided_differences():
 
     def image(extinction: float, seed: int) -> torch.Tensor:
         data = torch.where(empty, extinction, grid())
-        return rb.render(before_a_lamp(smoke(data)), spp=1 << 13, max_depth=4, seed=seed).mean()
+        return rb.render(before_a_lamp(smoke(data)), spp=1 << 12, max_depth=4, seed=seed).mean()
 
     step, found, wanted = 0.05, [], []
-    for seed in range(12):
+    for seed in range(8):
         scene = before_a_lamp(smoke())
-        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 13, max_depth=4,
+        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 12, max_depth=4,
                                              adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
         found.append((gradient * empty).sum())
         at = [image(extinction, seed + 100) for extinction in (0.0, step, 2 * step)]
         wanted.append((4 * at[1] - 3 * at[0] - at[2]) / (2 * step))
     found, wanted = torch.stack(found), torch.stack(wanted)
-    error = ((found.var() + wanted.var()) / 12).sqrt()
+    error = ((found.var() + wanted.var()) / len(found)).sqrt()
     assert 0 < error < 0.1 * wanted.mean().abs() and (found.mean() - wanted.mean()).abs() < 4 * error
 
 
@@ -126,7 +128,7 @@ def test_boundaries_and_grids_are_read_and_written(tmp_path):
     again = rb.load(tmp_path / "scene.xml")
     for name, value in scene.named_parameters():
         torch.testing.assert_close(dict(again.named_parameters())[name], value)
-    image, other = (rb.render(each, spp=4, max_depth=3, seed=1) for each in (scene, again))
+    image, other = (rb.render(each, spp=4, max_depth=3, seed=1, compile=False) for each in (scene, again))
     assert image.max() > 0 and torch.equal(image, other)
 
 
@@ -167,14 +169,14 @@ def test_a_constant_extinction_fills_the_cube_of_its_pose():
     assert float(image.mean()) == pytest.approx(1 - seen * (1 - math.exp(-0.6)), abs=0.005)
 
 
-@pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"chunk": 40},
-                                      {"nee": False, "spp": 99}, {"sampling": "detached"}], ids=str)
+@pytest.mark.parametrize("settings", [{}, {"adjoint": rb.MemoizedAdjoint(2, keep_hits=False)}, {"sampling": "detached"},
+                                      deep({"chunk": 40}), deep({"nee": False, "spp": 99})], ids=str)
 def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, monkeypatch):
     assert_recorded_alike(lambda: room(varied(3)).to(torch.float32), NAMES, monkeypatch, **SETTINGS | settings)
 
 
 def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_in_the_mean():
-    """The light that half of a grid, which is empty, would scatter: gradients of 24 renderings."""
+    """The light that half of a grid, which is empty, would scatter: gradients of 10 renderings."""
     data = grid(size=(8, 8, 8))
     data[:4] = 0.0
     scene, name = room(smoke(data)).to(torch.float32), "box.interior.sigma_t.data"
@@ -182,15 +184,15 @@ def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_i
     for shared in (False, True):
         gradients = torch.stack([image_and_gradients(
             scene, [name], seed=seed, adj_image=torch.ones(1, 3, 4, 4), spp=1024, max_depth=4, share_samples=shared)[1][0]
-            for seed in range(24)]).double()[:, :4].flatten(1)
+            for seed in range(10)]).double()[:, :4].flatten(1)
         spread[shared], mean[shared] = gradients.var(0).sum(), gradients.sum(1)
     assert 0 < spread[False] < 0.4 * spread[True]
-    error = ((mean[False].var() + mean[True].var()) / 24).sqrt()
+    error = ((mean[False].var() + mean[True].var()) / 10).sqrt()
     assert (mean[False].mean() - mean[True].mean()).abs() < 3 * error < 0.5 * mean[False].mean().abs()
 
 
 @pytest.mark.parametrize("compile, bsdf, sampling", [
-    case if case[:2] in ((True, NULL), (False, ROUGH)) and case[2] == "hybrid" else deep(*case)
+    case if case == (False, NULL, "hybrid") else deep(*case)
     for case in product((False, True), (NULL, ROUGH), ("detached", "hybrid", "attached"))],
     ids=lambda value: value["type"] if isinstance(value, dict) else str(value))
 def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling):
@@ -206,12 +208,13 @@ def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bs
             assert (gradient - wanted).abs().max() <= 1e-10 * wanted.abs().max(), (adjoint, name)
 
 
-def test_forward_mode_is_the_transpose_of_backward_of_what_moves():
-    assert_transposed(room(varied(), half=0.9), *MOVING, **SETTINGS | {"terms": ("interior",), "compile": True})
+@pytest.mark.parametrize("compile", [pytest.param(False, id="eager"), deep(True, id="compiled")])
+def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile):
+    assert_transposed(room(varied(), half=0.9), *MOVING, **SETTINGS | {"terms": ("interior",), "compile": compile})
 
 
-@pytest.mark.parametrize("depth, moving, spp", [(1, ["box.to_world", "core.to_world", "camera.to_world"], 1 << 12),
-                                                (3, ["core.to_world", "bulb.position"], 1 << 14),
+@pytest.mark.parametrize("depth, moving, spp", [(1, ["box.to_world", "core.to_world", "camera.to_world"], 1 << 11),
+                                                (3, ["core.to_world", "bulb.position"], 1 << 13),
                                                 deep(3, ["camera.to_world"], 1 << 16)], ids=["1", "3", "camera"])
 def test_derivatives_by_what_moves_are_those_of_differences(depth, moving, spp):
     """Boxes of smoke in smoke, with edges out of view, over a floor that shines; the grids stand still."""

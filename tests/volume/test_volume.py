@@ -72,7 +72,7 @@ def test_a_grid_that_mitsuba_has_made_is_taken(channels, mi):
 @pytest.mark.parametrize("wrap_mode", ["clamp", "repeat", "mirror"])
 def test_derivatives_by_values_and_by_the_point_are_those_of_differences(wrap_mode):
     """Backwards and forwards, in and outside of the grid."""
-    volume, p = made(data=random(2, 3, 2, 3), to_world=POSE, wrap_mode=wrap_mode), places(20).stack()
+    volume, p = made(data=random(2, 3, 2, 3), to_world=POSE, wrap_mode=wrap_mode), places(10).stack()
 
     def values(data, p):
         table = torch.func.functional_call(Read(volume), {"volume.data": data})
