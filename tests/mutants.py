@@ -128,7 +128,7 @@ MUTANTS = (
     Mutant("raycast/refined.py", " + matrices[..., None, :, 3]", "", ("raycast/test_instances.py",)),
     Mutant("raycast/embree.py", "first + 1 for first in", "first for first in",
            ("raycast/test_instances.py",)),
-    Mutant("raycast/warp.py", "u[lane] = hit.v", "u[lane] = hit.u", ("raycast/test_warp.py",)),
+    Mutant("raycast/warp.py", "u[lane] = hit.v", "u[lane] = hit.u", ("raycast/test_ball.py",)),
     Mutant("raycast/warp_instances.py", "wp.where(wp.max(first, second) < end, 1, 0)", "0",
            ("raycast/test_warp_instances.py",)),
 )
