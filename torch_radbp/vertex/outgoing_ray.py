@@ -39,6 +39,10 @@ def above_triangle(scene: SceneTensors, si: SurfaceInteraction, hit, sample: BSD
     outline, each of which takes away what another has brought. Of coarse meshes, where the strip is wide and light would
     jump between triangles instead, nothing changes.
 
+    Args:
+        hit: a `raycast.Hit`, of the surface.
+        sample: of the material there.
+
     Reference: Blender Foundation 2023, Cycles (`ensure_valid_specular_reflection` bends normals for the same reason).
     """
     n, wo = si.frame.to_local(si.n), sample.wo
