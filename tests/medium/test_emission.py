@@ -11,7 +11,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -114,7 +114,7 @@ def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, sa
     scene = room(flame(kind=kind), half=0.9)
     image, expected = image_and_gradients(scene, names, **settings | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
-    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+    for adjoint in MOVED:
         found, gradients = image_and_gradients(scene, names, compile=compile, **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for name, gradient, wanted in zip(names, gradients, expected):

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import warnings
+from itertools import product
 
 import pytest
 import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import FEW, MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -210,16 +211,17 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, name)
             assert relative_error(gradient, wanted) < 1e-10, (adjoint, each)
 
 
-@pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["detached", "hybrid", "attached"]))
-@pytest.mark.parametrize("compile", [pytest.param(False, id="eager"), deep(True, id="compiled")])
-@pytest.mark.parametrize("name, glow", [deep("thin", None), deep("bitmap", None), deep("thin", GLOW), ("bitmap", GLOW)])
-def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, glow, sampling):
+@pytest.mark.parametrize("compile, name, glow, sampling, strategies", [
+    pytest.param(False, "bitmap", GLOW, "hybrid", FEW, id="few"),
+    *(deep(*case, MOVED) for case in product((False, True), ("thin", "bitmap"), (None, GLOW),
+                                             ("detached", "hybrid", "attached")))])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, name, glow, sampling, strategies):
     names = [*MOVING, f"ball.bsdf.{PARAMETERS[name][0]}"]
     settings = SETTINGS | {"sampling": sampling}
     scene = room(PANES[name], glow)
     image, expected = image_and_gradients(scene, names, **settings | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
-    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+    for adjoint in strategies:
         found, gradients = image_and_gradients(scene, names, compile=compile, **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for each, gradient, wanted in zip(names, gradients, expected):
