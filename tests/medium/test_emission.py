@@ -199,7 +199,7 @@ def test_derivatives_are_those_of_the_closed_form(kind, emission, sigma):
 
 
 @pytest.mark.parametrize("kind, which, spp", [
-    ("homogeneous", slice(4), 1 << 14), ("heterogeneous", slice(0, 4, 2), 1 << 14),
+    ("homogeneous", slice(4), 1 << 12), ("heterogeneous", slice(0, 4, 2), 1 << 12),
     deep("heterogeneous", slice(1, 4, 2), 1 << 18)], ids=["homogeneous", "heterogeneous", "grid of extinction"])
 def test_derivatives_are_those_of_differences(kind, which, spp):
     """By emission, extinction, albedo and scale, of light that is scattered on its way, too; along the derivative of the
@@ -228,7 +228,7 @@ def test_derivatives_by_what_moves_are_those_of_differences():
                  core={"type": "cube", "to_world": inner, "bsdf": NULL, "interior": dust,
                        "exterior": {"type": "ref", "id": "fog"}})
     moves = [Move("box.to_world", 0.05), Move("core.to_world", 0.05), Move("camera.to_world", 0.02)]
-    for found in compared(scene, moves, spp=1 << 11, along=True, max_depth=3):
+    for found in compared(scene, moves, spp=1 << 10, along=True, max_depth=3):
         found.assert_agrees(0.1)
 
 

@@ -15,7 +15,7 @@ import torch_radbp as rb
 from tests.deep import deep_but
 from tests.scenes.flakes import ball, simulated, sky_pixels
 
-PATHS, BATCHES, WIDTH, SPP = 400_000, 12, 8, 512
+PATHS, BATCHES, WIDTH, SPP = 120_000, 12, 8, 512
 
 
 @pytest.mark.parametrize("depth", deep_but([12], (2, 3, 12)))
