@@ -107,12 +107,12 @@ def test_where_extinction_is_0_derivatives_are_those_of_one_sided_differences():
 
     def image(extinction: float, seed: int) -> torch.Tensor:
         data = torch.where(empty, extinction, grid())
-        return rb.render(before_a_lamp(smoke(data)), spp=1 << 12, max_depth=4, seed=seed).mean()
+        return rb.render(before_a_lamp(smoke(data)), spp=1 << 10, max_depth=4, seed=seed).mean()
 
     step, found, wanted = 0.05, [], []
     for seed in range(8):
         scene = before_a_lamp(smoke())
-        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 12, max_depth=4,
+        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 10, max_depth=4,
                                              adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
         found.append((gradient * empty).sum())
         at = [image(extinction, seed + 100) for extinction in (0.0, step, 2 * step)]
