@@ -304,7 +304,8 @@ DIM = haze((0.3, 0.4, 0.5), (0, 0, 0))
     deep(DULL, 30.0, 3 << 17, [("pane.to_world", SIZE, 0.6)]),  # fog has more noise
     deep(DIM | {"emission": rgb(*GLOW)}, 3.0, 1 << 18, [("pane.to_world", HEIGHT, 0.05), ("pane.to_world", SHIFT, 0.02)]),
     (DULL | {"emission": rgb(*GLOW)}, 30.0, 1 << 14, [("pane.to_world", HEIGHT, 0.05)])],
-    ids=["before a floor", "camera before a floor", "size before a floor", "size in fog", "in a glow", "height in glowing fog"])
+    ids=["before a floor", "camera before a floor", "size before a floor", "size in fog", "in a glow",
+         "height in glowing fog"])
 @pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 def test_derivatives_by_a_mask_that_moves_are_those_of_differences(air, half, spp, moved):
     """Of edges of masks that a medium sees derivatives lack what a warning says (below): in fog they are far away."""
