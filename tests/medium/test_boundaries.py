@@ -152,7 +152,7 @@ def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile):
 
 
 @pytest.mark.parametrize("depth, moving", [
-    (3, ["ball", "camera"]), *(deep(depth, ["ball", "core", "camera"]) for depth in (1, 3))],
+    (2, ["ball", "camera"]), *(deep(depth, ["ball", "core", "camera"]) for depth in (1, 3))],
     ids=["few", "1", "3"])
 def test_derivatives_by_boundaries_that_move_are_those_of_differences(depth, moving):
     """Of light that passes them straight, and of light that is scattered; projected on the derivative itself."""
@@ -162,7 +162,8 @@ def test_derivatives_by_boundaries_that_move_are_those_of_differences(depth, mov
                  core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
                            exterior={"type": "ref", "id": "air"}))
     moves = [Move(f"{name}.to_world", 0.05) for name in moving]
-    for found in compared(scene, moves, spp=1 << 14, gradient_spp=1 << 16, along=True, max_depth=depth):
+    gradient_spp = 1 << (14 if depth == 2 else 16)  # that of the core has the most noise
+    for found in compared(scene, moves, spp=1 << 14, gradient_spp=gradient_spp, along=True, max_depth=depth):
         found.assert_agrees(0.05)
 
 
