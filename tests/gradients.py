@@ -17,6 +17,8 @@ REPLAY = (rb.ReplayAdjoint(), rb.ReplayAdjoint(keep_hits=False))
 # One of each kind: strides that end a segment at every bounce, at others, and where few states are kept; hits kept or not.
 SOME = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint(2, keep_hits=False), rb.MemoizedAdjoint(3),
         rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY)
+MOVED = (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY)
+FEW = (rb.MemoizedAdjoint("log", keep_hits=False), rb.ReplayAdjoint())  # where the others are taken in a scene much like it
 EXACT = (*MEMOIZED, *QUADRATIC, rb.TapeAdjoint())
 
 

@@ -135,7 +135,7 @@ def test_whatever_bytes_change_a_file_is_read_or_refused(tmp_path):
         good = density(CUBE, tmp_path, codec).read_bytes()
         start = good.index(b"NanoVDB", 8) if codec == "none" else 0
         marks = [0, 60, start, start + CLASS, start + TREE, start + TREE + 64, start + TREE + 128]
-        for _ in range(150):
+        for _ in range(50):
             data = bytearray(good)
             data[min(int(generator.choice(marks) + generator.integers(64)), len(data) - 1)] = generator.integers(256)
             (tmp_path / "smoke.nvdb").write_bytes(data)
@@ -144,7 +144,7 @@ def test_whatever_bytes_change_a_file_is_read_or_refused(tmp_path):
             except ValueError as error:
                 assert "smoke.nvdb: " in str(error)
                 refused += 1
-    assert 25 < refused < 300
+    assert 8 < refused < 100
 
 
 def test_grids_that_are_larger_than_memory_are_refused_before_it_is_asked_for(tmp_path):

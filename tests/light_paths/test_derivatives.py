@@ -38,7 +38,7 @@ ROWS = {
 QUICK = {("point over a diffuse ball", "detached", "all"), ("spot through glass", "hybrid", "all"),
          ("spot through glass", "attached", "caustics")}
 # Plain torch, which is quicker here, of all lamps; compiled code, and attached sampling, through glass.
-TRANSPOSED = {*((row, "hybrid", False) for row in ROWS), ("area through rough glass", "attached", False),
+TRANSPOSED = {*((row, "hybrid", False) for row in ROWS),
               ("spot through glass", "attached", False), ("spot through glass", "hybrid", True)}
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -166,13 +166,14 @@ def test_derivatives_are_those_of_differences(name, sampling):
     """Of means over seeds, by their standard errors."""
     build, moves = MOVES[name]
     scene = build()
-    settings = {"spp": 64, "light_paths": "caustics", "terms": ("interior",), "max_depth": 5, "sampling": sampling}
+    spp, seeds = (32, 6) if name == "ball below a bulb" else (64, 12)  # which has the least noise
+    settings = {"spp": spp, "light_paths": "caustics", "terms": ("interior",), "max_depth": 5, "sampling": sampling}
     renderer, wanted = unwarned_renderer(scene, **settings), {name: scene.get_parameter(name) for name, *_ in moves}
     ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
     w = 0.5 + ramp + ramp[:, None] ** 2
-    expected = torch.empty(len(moves), 12)
+    expected = torch.empty(len(moves), seeds)
     for row, (parameter, place, step) in zip(expected, moves):
-        for seed in range(12):
+        for seed in range(seeds):
             sides = []
             for sign in (1, -1):
                 with torch.no_grad():
@@ -183,7 +184,7 @@ def test_derivatives_are_those_of_differences(name, sampling):
     found = torch.empty_like(expected)
     for parameter in wanted.values():
         parameter.requires_grad_()
-    for seed in range(12):
+    for seed in range(seeds):
         gradients = dict(zip(wanted, torch.autograd.grad((renderer(seed=seed + 100) * w).sum(), list(wanted.values()))))
         found[:, seed] = torch.stack([gradients[parameter][place].sum() for parameter, place, _ in moves])
     for (parameter, place, _), own, difference in zip(moves, found, expected):
@@ -198,7 +199,7 @@ def test_a_mirror_that_moves_beside_a_lamp_is_right_by_default():
     lamp = rectangle((-0.9, 0, 1.0), 0.1, (0, 1, 0), 98, emitter={"type": "area", "radiance": rgb(60, 54, 48)})
     mirror = rectangle((0.9, 0, 0.8), 0.3, (0, 1, 0), -112, bsdf={"type": "conductor", "material": "none"})
     scene = over_a_floor(lamp, mirror=mirror)
-    renderer, wanted = unwarned_renderer(scene, spp=64), scene.get_parameter("mirror.to_world").requires_grad_()
+    renderer, wanted = unwarned_renderer(scene, spp=32), scene.get_parameter("mirror.to_world").requires_grad_()
     places = [(0, 3), (2, 0), (2, 3)]
     ramp = torch.linspace(0.0, 2.0, 16, dtype=torch.float64)
     w = 0.5 + ramp + ramp[:, None] ** 2
@@ -250,9 +251,10 @@ MOVED = {
 }
 
 
-@pytest.mark.parametrize("name", deep_but(["receiver", "camera"], MOVED))
+@pytest.mark.parametrize("name", deep_but(["camera"], MOVED))
 def test_edges_and_shadows_in_view_count_where_all_light_comes_from_lamps(name):
     parameter, place, step = MOVED[name]
+    spp = 128 if name == "camera" else 512  # by which there is the least noise
     camera = camera_named("perspective", 16, "gaussian") | {"fov": 85}
     scene = load(torch.float64, integrator={"type": "path", "max_depth": 3}, camera=camera, lamp=LAMPS["point"],
                  floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
@@ -267,11 +269,11 @@ def test_edges_and_shadows_in_view_count_where_all_light_comes_from_lamps(name):
         for sign in (1, -1):
             with torch.no_grad():
                 wanted[place] += sign * step
-                sides.append(renderer(seed=seed, spp=512))
+                sides.append(renderer(seed=seed, spp=spp))
                 wanted[place] -= sign * step
         expected.append(float(((sides[0] - sides[1]) * w).sum()) / (2 * step))
         wanted.requires_grad_()
-        gradient, = torch.autograd.grad((renderer(seed=seed, spp=128) * w).sum(), [wanted])
+        gradient, = torch.autograd.grad((renderer(seed=seed, spp=spp // 4) * w).sum(), [wanted])
         found.append(float(gradient[place]))
     found, expected = torch.tensor(found), torch.tensor(expected)
     error = math.sqrt(float(found.var() + expected.var()) / len(found))

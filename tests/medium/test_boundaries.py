@@ -13,8 +13,8 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.deep import deep, deep_but
-from tests.gradients import REPLAY, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.deep import deep
+from tests.gradients import FEW, MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, look_at, overhead, rectangle, rgb
@@ -61,8 +61,9 @@ def test_in_a_furnace_radiance_is_1_behind_all_boundaries():
     assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 0.01
 
 
-@pytest.mark.parametrize("bsdf", [NULL, ROUGH], ids=["null", "rough"])
+@pytest.mark.parametrize("bsdf", [deep(NULL, id="null"), pytest.param(ROUGH, id="rough")])
 def test_lamps_seen_through_boundaries_by_chance_and_by_connection_agree(bsdf):
+    """That of the core, within, is null."""
     assert_chance_and_connection_agree(room(bsdf))
 
 
@@ -123,22 +124,22 @@ def test_derivatives_are_those_of_differences(bsdf):
                  floor=rectangle((0, 0, 0), 1.5, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
                  ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
                  core=ball(0.7, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)))
-    moves = [Move(name, step) for name, step in zip(NAMES[:6], (0.05, 0.1, 0.2, 0.05, 0.1, 0.1))]
-    for found in compared(scene, moves, spp=1 << (13 if bsdf is NULL else 14), gradient_spp=1 << 13, max_depth=5):
+    moves = [Move(name, step) for name, step in zip(NAMES[:6], (0.1, 0.1, 0.25, 0.1, 0.1, 0.1))]
+    for found in compared(scene, moves, spp=1 << 13, max_depth=5):
         found.assert_agrees(0.1)
 
 
-@pytest.mark.parametrize("compile, bsdf, sampling", [
-    case if case == (False, ROUGH, "hybrid") else deep(*case)
-    for case in product((False, True), (NULL, GLASS, ROUGH), ("detached", "hybrid", "attached"))],
-    ids=lambda value: value["type"] if isinstance(value, dict) else str(value))
-def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling):
+@pytest.mark.parametrize("compile, bsdf, sampling, strategies", [
+    pytest.param(False, ROUGH, "hybrid", FEW, id="few"),
+    *(deep(*case, MOVED, id=f"{case[0]}-{case[1]['type']}-{case[2]}")
+      for case in product((False, True), (NULL, GLASS, ROUGH), ("detached", "hybrid", "attached")))])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling, strategies):
     """Of boundaries, surfaces behind them, lamps and the camera, and of a boundary's roughness. That of the core is null."""
     names = [*MOVING, NAMES[0], *(["ball.bsdf.alpha.value"] if bsdf is ROUGH else [])]
     settings = SETTINGS | {"sampling": sampling}
     image, expected = image_and_gradients(room(bsdf), names, **settings | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, [each for name, each in zip(names, expected) if name != "bulb.position" or bsdf is NULL])
-    for adjoint in (rb.MemoizedAdjoint(1), rb.MemoizedAdjoint("log", keep_hits=False), rb.QuadraticAdjoint(), *REPLAY):
+    for adjoint in strategies:
         found, gradients = image_and_gradients(room(bsdf), names, compile=compile, **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for name, gradient, wanted in zip(names, gradients, expected):
@@ -150,16 +151,19 @@ def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile):
     assert_transposed(room(), *MOVING[:4], **SETTINGS | {"terms": ("interior",), "compile": compile})
 
 
-@pytest.mark.parametrize("depth", deep_but([3], [1, 3]))
-def test_derivatives_by_boundaries_that_move_are_those_of_differences(depth):
+@pytest.mark.parametrize("depth, moving", [
+    (2, ["ball", "camera"]), *(deep(depth, ["ball", "core", "camera"]) for depth in (1, 3))],
+    ids=["few", "1", "3"])
+def test_derivatives_by_boundaries_that_move_are_those_of_differences(depth, moving):
     """Of light that passes them straight, and of light that is scattered; projected on the derivative itself."""
     scene = load(torch.float64, air=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4), camera=overhead(2, 4.0, 1.3),
                  floor=rectangle((0, 0, 0), 9.0, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}),
                  ball=ball(0.9, bsdf=NULL, interior={"type": "ref", "id": "air"}),
                  core=ball(0.6, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3),
                            exterior={"type": "ref", "id": "air"}))
-    moves = [Move(name, 0.05) for name in ("ball.to_world", "core.to_world", "camera.to_world")]
-    for found in compared(scene, moves, spp=1 << 14, gradient_spp=1 << 16, along=True, max_depth=depth):
+    moves = [Move(f"{name}.to_world", 0.05) for name in moving]
+    gradient_spp = 1 << (14 if depth == 2 else 16)  # that of the core has the most noise
+    for found in compared(scene, moves, spp=1 << 14, gradient_spp=gradient_spp, along=True, max_depth=depth):
         found.assert_agrees(0.05)
 
 

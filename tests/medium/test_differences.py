@@ -7,21 +7,25 @@ from __future__ import annotations
 
 import pytest
 
+from tests.deep import deep
 from tests.medium.differences import Experiment
 from tests.scenes.media_rows import Row
 
 NOISIEST = 0.15  # of the size of a derivative
 ROWS = [
     Row("fog", "none", "point", "extinction", "hg", depth=2),  # with nothing behind
-    Row("fog", "none", "spot", "extinction", "hg", depth=2),
     Row("empty in red", "dielectric", "glow", "extinction"),
-    Row("grey", "dielectric", "constant", "extinction", embedded="stone"),
-    Row("coloured", "null", "directional", "extinction", "hg"),
+    Row("coloured", "null", "directional", "extinction", "hg", depth=2),
     Row("coloured", "null", "spot", "extinction", "hg", "inside"),
-    Row("coloured", "null", "point", "values", "tabphase"),
+    Row("coloured", "null", "point", "values", "tabphase", depth=2),
     Row("coloured", "null", "point", "weight", "blendphase 0.0"),
     Row("grey", "roughdielectric", "glow", "g", "hg"),
     Row("coloured", "null", "point", "place of the bulb", depth=2),
+    *map(deep, [
+        Row("fog", "none", "spot", "extinction", "hg", depth=2),
+        Row("grey", "dielectric", "constant", "extinction", embedded="stone"),
+        Row("coloured", "null", "directional", "extinction", "hg"),
+        Row("coloured", "null", "point", "values", "tabphase")]),
 ]
 
 

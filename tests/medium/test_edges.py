@@ -11,15 +11,15 @@ from tests.scenes import rgb
 from tests.scenes.media_rows import cells, even, sensor, smoke
 from torch_radbp.io.values.transform import scale
 
-SIZE, SPP, BATCHES, STEP = 12, 256, 10, 0.02
+SIZE, BATCHES, STEP = 12, 10, 0.02
 BLACK = {"type": "diffuse", "reflectance": rgb(0, 0, 0)}
 MEDIA = {"even": even((0.5, 1.0, 2.0), (0.0, 0.0, 0.0)), "smoke": smoke(cells(largest=1.0), (0.0, 0.0, 0.0)),
          "scattering": even((0.5, 1.0, 2.0))}
 CENTERS = {"within": [0.15, 0.1, 0.2], "behind": [0.15, 0.1, -1.2], "before the camera": [0.1, 0.0, -0.4]}
 DEEP = pytest.mark.deep
-CASES = [("smoke", "within", 2), ("scattering", "within", 1),  # medium, where the ball is, depth
-         pytest.param("even", "within", 2, marks=DEEP),
-         pytest.param("even", "behind", 2, marks=DEEP), pytest.param("even", "before the camera", 2, marks=DEEP)]
+CASES = [("smoke", "within", 2, 64), ("scattering", "within", 1, 64),  # medium, where the ball is, depth, samples
+         pytest.param("even", "within", 2, 256, marks=DEEP),
+         pytest.param("even", "behind", 2, 256, marks=DEEP), pytest.param("even", "before the camera", 2, 256, marks=DEEP)]
 
 
 def scene_of(medium: str, place: str, depth: int) -> rb.Scene:
@@ -51,17 +51,17 @@ def gradient(renderer: rb.Renderer, pose: Tensor, seed: int) -> Tensor:
 def difference(renderer: rb.Renderer, pose: Tensor, seed: int) -> Tensor:
     """(3,) the same by two renderings, with the same samples."""
     pose[0, 3] += STEP
-    ahead = functional(renderer(seed=seed, spp=4 * SPP))
+    ahead = functional(renderer(seed=seed, spp=4 * renderer.spp))
     pose[0, 3] -= 2 * STEP
-    behind = functional(renderer(seed=seed, spp=4 * SPP))
+    behind = functional(renderer(seed=seed, spp=4 * renderer.spp))
     pose[0, 3] += STEP
     return (ahead - behind) / (2 * STEP)
 
 
-@pytest.mark.parametrize(("medium", "place", "depth"), CASES)
-def test_what_moves_behind_media_has_the_derivatives_of_differences(medium, place, depth):
+@pytest.mark.parametrize(("medium", "place", "depth", "spp"), CASES)
+def test_what_moves_behind_media_has_the_derivatives_of_differences(medium, place, depth, spp):
     scene = scene_of(medium, place, depth)
-    pose, renderer = scene.ball.to_world.requires_grad_(), rb.Renderer(scene, spp=SPP)
+    pose, renderer = scene.ball.to_world.requires_grad_(), rb.Renderer(scene, spp=spp)
     found = [gradient(renderer, pose, seed) for seed in range(BATCHES)]
     expected = [difference(renderer, pose, seed) for seed in range(BATCHES, 3 * BATCHES)]
     (found, error), (expected, of_difference) = ((values.mean(0), values.std(0) / len(values)**0.5)

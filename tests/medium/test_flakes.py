@@ -12,15 +12,15 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.deep import deep_but
+from tests.deep import deep
 from tests.scenes.flakes import ball, simulated, sky_pixels
 
-PATHS, BATCHES, WIDTH, SPP = 400_000, 12, 8, 512
+BATCHES, WIDTH, SPP = 12, 8, 512
 
 
-@pytest.mark.parametrize("depth", deep_but([12], (2, 3, 12)))
-def test_flakes_scatter_as_often_as_a_simulation(depth):
-    expected, error = simulated(PATHS, depth, seed=depth)
+@pytest.mark.parametrize("depth, paths", [(12, 120_000), deep(2, 400_000), deep(3, 400_000)])
+def test_flakes_scatter_as_often_as_a_simulation(depth, paths):
+    expected, error = simulated(paths, depth, seed=depth)
     assert 0.4 < expected < 0.8 and error < 0.0015
     scene = rb.load_dict(ball(WIDTH, depth) | {"sky": {"type": "envmap", "bitmap": sky_pixels()}})
     with torch.no_grad():

@@ -40,7 +40,7 @@ def block_over_floor() -> tuple[rb.Renderer, list[torch.Tensor]]:
     scene = rb.load_dict({
         "type": "scene", "sensor": {
             "type": "perspective", "fov": 50, "to_world": rb.look_at([0.0, 3.0, 4.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0]),
-            "film": {"type": "hdrfilm", "width": 6, "height": 6}},
+            "film": {"type": "hdrfilm", "width": 4, "height": 4}},
         "floor": {"type": "rectangle", "to_world": up @ (3 * torch.eye(4, dtype=torch.float64)).clone().index_put_(
             (torch.tensor(3), torch.tensor(3)), torch.tensor(1.0, dtype=torch.float64)),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.3, 0.5, 0.7]}}},

@@ -10,6 +10,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.io.gltf_files import GltfFile
 from torch_radbp.formats.image import read_image, srgb_to_linear
 from torch_radbp.training.cli import app
@@ -35,7 +36,8 @@ def test_help_teaches_with_examples(command, expected, radbp):
         assert fragment in stdout
 
 
-@pytest.mark.parametrize("arguments", [("render", "scene.xml", "-o", "image.png", "--spp", "1"), ("info", "scene.xml")])
+@pytest.mark.parametrize("arguments", [
+    ("render", "scene.xml", "-o", "image.png", "--spp", "1"), deep(("info", "scene.xml"))])
 def test_commands_work_in_a_process_of_their_own(arguments, folder):
     """Where no other module has been imported before."""
     done = subprocess.run([sys.executable, "-m", "torch_radbp.training.cli", *arguments], cwd=folder, capture_output=True,

@@ -34,7 +34,8 @@ def exposed(two_views, folder):
 def test_gains_are_recovered_beside_reflectances(exposed, folder):
     with exposed.open("a") as file:
         file.write('[gains]\nfixed = "camera"\ntruth = [1.0, 0.6]\n')
-    summary, report = run(exposed, OVERRIDES, folder / "run", False, Console(quiet=True))
+    overrides = [*OVERRIDES, "render.spp=32", "optimizer.learning_rate=0.12", "steps=60"]
+    summary, report = run(exposed, overrides, folder / "run", False, Console(quiet=True))
     paint, gains = summary["parameters"]
     assert gains["name"] == "gains" and gains["before"] == [1.0, 1.0]
     assert gains["recovered"][0] == 1.0, "the gain of the fixed view stays what it is"

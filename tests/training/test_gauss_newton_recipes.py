@@ -64,7 +64,7 @@ def test_few_steps_find_what_an_image_shows(parametrisation, joint):
 
 
 def test_bounds_of_a_recipe_are_kept_to(joint):
-    found = start(joint, "run", "parameters.0.bounds=[0.3, 0.6]")["parameters"][0]["recovered"]
+    found = start(joint, "run", "parameters.0.bounds=[0.3, 0.6]", "steps=3")["parameters"][0]["recovered"]
     assert found[0] == pytest.approx(0.3) and 0.3 <= found[1] <= 0.6 and found[2] == pytest.approx(0.6)
 
 
@@ -97,23 +97,29 @@ def test_masks_losses_and_weights_are_in_the_residuals(joint):
 NOISY = ["optimizer={name='gauss-newton', max_spp=16}", "report.checkpoint_every=1", "steps=8"]  # keeps Jacobians
 
 
-@pytest.mark.parametrize("stop, call", [(0, 5), deep(4, 1), (6, 1)])  # the last two have Jacobians of an earlier step
-def test_a_resumed_run_is_bit_identical(stop, call, joint, monkeypatch):
+def interrupting(stop: int, call: int):
+    """`JointSteps.residuals` with a signal at a call within a step."""
+    residuals, steps = JointSteps.residuals, []
+
+    def interrupted(self, seed, spp):
+        if self.recovery.step == stop:
+            steps.append(seed)
+            if len(steps) == call:
+                os.kill(os.getpid(), signal.SIGINT)
+        return residuals(self, seed, spp)
+
+    return interrupted
+
+
+@pytest.mark.parametrize("stops", [[(0, 5), (6, 1)], deep([(4, 1)])])  # the last two have Jacobians of an earlier step
+def test_a_resumed_run_is_bit_identical(stops, joint, monkeypatch):
     start(joint, "whole", *NOISY)
     whole = results(joint / "whole")
-    with monkeypatch.context() as patch:
-        residuals, steps = JointSteps.residuals, []
-
-        def interrupted(self, seed, spp):
-            if self.recovery.step == stop:
-                steps.append(seed)
-                if len(steps) == call:  # within the step
-                    os.kill(os.getpid(), signal.SIGINT)
-            return residuals(self, seed, spp)
-
-        patch.setattr(JointSteps, "residuals", interrupted)
-        summary = start(joint, "broken", *NOISY)
-    assert summary["status"] == "interrupted" and summary["step"] == stop
+    for stop, call in stops:
+        with monkeypatch.context() as patch:
+            patch.setattr(JointSteps, "residuals", interrupting(stop, call))
+            summary = start(joint, "broken", *NOISY, resume=(joint / "broken").exists())
+        assert summary["status"] == "interrupted" and summary["step"] == stop
     start(joint, "broken", *NOISY, resume=True)
     broken = results(joint / "broken")
     assert whole[0] == broken[0] and whole[2] == broken[2] and len(whole[2]) == 8

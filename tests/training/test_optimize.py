@@ -33,7 +33,7 @@ def run_quietly(folder, overrides=()):
     return summary
 
 
-@pytest.mark.parametrize("parametrisation", [deep("clamp"), "sigmoid", "log"])
+@pytest.mark.parametrize("parametrisation", [deep("clamp"), deep("sigmoid"), "log"])
 def test_reflectance_is_recovered(parametrisation, folder, edit_recipe):
     write_true_target(folder)
     if parametrisation == "log":

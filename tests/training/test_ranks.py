@@ -4,16 +4,18 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+from datetime import timedelta
 
 import pytest
 import torch
 
 from tests.training.gradient_of_ranks import gradient
 from torch_radbp.rendering.cost import memory_of
-from torch_radbp.training.ranks import ALONE, Ranks
+from torch_radbp.training.ranks import ALONE, Ranks, joined
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, load_checkpoint
 from torch_radbp.training.recovery.metrics import MetricsFile
 from torch_radbp.training.recovery.renderers import own_budget
@@ -40,9 +42,22 @@ def close_to_the_same(found: list[torch.Tensor], expected: list[torch.Tensor]) -
         torch.testing.assert_close(ours, reference, rtol=1e-12, atol=0)
 
 
-def test_two_processes_that_share_two_views_find_the_gradient_of_one(two_views, folder):
-    finished(under_torchrun(2, "-m", "tests.training.gradient_of_ranks", str(two_views), str(folder / "gradient.pt")))
-    close_to_the_same(torch.load(folder / "gradient.pt"), gradient(two_views, ALONE))
+def test_two_processes_that_share_two_views_find_the_gradient_of_one(two_views, monkeypatch):
+    """The first is this one; by torchrun, which takes a while to start, all processes of the deep tests begin."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setattr("torch_radbp.training.ranks.PATIENCE", timedelta(minutes=2))
+    for name, value in {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": "2", "RANK": "0"}.items():
+        monkeypatch.setenv(name, value)
+    command = [sys.executable, "-m", "tests.training.gradient_of_ranks", str(two_views), "not written"]
+    second = subprocess.Popen(command, env=os.environ | {"OMP_NUM_THREADS": "1", "RANK": "1"}, text=True,
+                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    with joined() as ranks:
+        assert ranks == (0, 2)
+        found = gradient(two_views, ranks)
+    finished(second)
+    close_to_the_same(found, gradient(two_views, ALONE))
 
 
 @pytest.mark.deep

@@ -139,7 +139,7 @@ def test_a_pivot_changes_steps_but_not_where_a_run_begins(pose_recipe):
 
 def test_pose_is_recovered_and_written(pose_recipe, folder):
     # At 8 samples one seed in three still turns the wall too little, after 60 steps even.
-    overrides = ["steps=40", "optimizer.learning_rate=0.01", "render.spp=16", "render.max_depth=2"]
+    overrides = ["steps=24", "optimizer.learning_rate=0.016", "render.spp=16", "render.max_depth=2"]
     summary, report = run(pose_recipe, overrides, folder / "run", False, Console(quiet=True))
     pose = summary["parameters"][0]
     before, after = pose["pose_error_before"], pose["pose_error"]

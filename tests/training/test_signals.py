@@ -137,7 +137,7 @@ def test_a_signal_before_the_first_image_says_how_to_continue(signalled, folder)
     assert stderr.strip() == "terminated" and state_of(folder) == 0
 
 
-PLACES = ["outcome, 'render_in_passes', 2", deep("outcome, '_parameter_summary'"), "report, 'curves_section'"]
+PLACES = [deep("outcome, 'render_in_passes', 2"), deep("outcome, '_parameter_summary'"), "report, 'curves_section'"]
 
 
 @pytest.mark.parametrize("place", PLACES)
