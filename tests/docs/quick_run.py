@@ -33,7 +33,7 @@ RADBP = [sys.executable, "-m", "torch_radbp.training.cli"]
 OUTPUT = "output.txt"  # in the folder of a script
 MOST = {"spp": 2, "resolution": 16, "width": 16, "height": 16, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 FEWEST = {"rb.check_gradient": {"batches": 8}}  # arguments of calls that do not name them
-STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
+STEPS, COUNTED = 2, ("step", "epoch", "known, bsdf")  # of loops over these
 BOUNCES = 2  # of all renderers
 
 
