@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, normalize
 from torch_radbp.vertex.emission import emitted, emitted_pdf
 from torch_radbp.vertex.interaction import surface_interaction
 
-LANES = 8
+LANES = 12
 MESH = {"lamp": SQUARE | {"emitter": {"type": "area", "radiance": slide()}}}
 SCENES = {**EMITTERS, "area_mesh": MESH}
 del SCENES["area_sphere"], SCENES["constant"], SCENES["envmap_compensated"]
@@ -98,7 +98,8 @@ def check(module: nn.Module, name: str, inputs: tuple, gradients_of: list[str]) 
     assert torch.autograd.gradcheck(outputs, (*values, *inputs), eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("name", [deep(name) if name == "all" else name for name in PARAMETERS])
+@pytest.mark.parametrize("name", [
+    deep(name) if name in ("all", "area", "spot") else name for name in PARAMETERS])  # others have what these have
 def test_a_light_sample_has_the_right_derivatives(name):
     torch.manual_seed(0)
     module = Sampled(load(sensor=sensor(2), **FLOOR, **SCENES[name]))
@@ -108,7 +109,7 @@ def test_a_light_sample_has_the_right_derivatives(name):
     check(module, name, inputs, PARAMETERS[name])
 
 
-@pytest.mark.parametrize("name", deep_but(["area"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
+@pytest.mark.parametrize("name", deep_but(["area_sphere"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
 def test_emission_and_its_density_have_the_right_derivatives(name):
     torch.manual_seed(0)
     module = Hit(load(sensor=sensor(2), **FLOOR, **SCENES[name]))

@@ -223,11 +223,11 @@ def test_hundreds_of_instances():
     assert len(scene.shapes) == 1 and len(pack(scene).triangles.material) == 4
     poses = [instance.to_world.requires_grad_() for instance in scene.groups[id(scene.group)]]
     positions = scene.get_parameter("group.sheet.vertex_positions").requires_grad_()
-    with pytest.warns(rb.SilhouetteWarning, match="`group.sheet.vertex_positions` and `i0.to_world` and .* and 993 others"):
+    with pytest.warns(rb.SilhouetteWarning, match="`group.sheet.vertex_positions` and `i0.to_world` and .* and 233 others"):
         image = rb.Renderer(scene, terms=["interior"], **settings(spp=64))(seed=0)
     *of_poses, of_positions = torch.autograd.grad(image.sum(), [*poses, positions])
     assert torch.isfinite(torch.stack(of_poses)).all() and torch.isfinite(of_positions).all()
-    assert (torch.stack(of_poses).abs().amax((1, 2)) > 0).sum() > 900 and of_positions.abs().max() > 0
+    assert (torch.stack(of_poses).abs().amax((1, 2)) > 0).sum() > 0.9 * len(poses) and of_positions.abs().max() > 0
 
 
 def test_attributes_are_shown_by_every_instance():
