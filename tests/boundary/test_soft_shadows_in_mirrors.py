@@ -15,7 +15,7 @@ from torch_radbp.io.values.transform import scale, translate
 
 pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
-SIZE, SEEDS, WALL = 16, 12, 2.2  # where the mirror stands
+SIZE, SEEDS, WALL = 16, 8, 2.2  # where the mirror stands
 EYE, TARGET = (0.3, 0.6, 2.2), (0.15, WALL, 0.95)
 MIRROR = rectangle((0.0, WALL, 0.9), 3.0, (1, 0, 0), 90, bsdf={"type": "conductor", "material": "none"})
 PLASTIC = FLOOR | {"bsdf": {"type": "plastic", "diffuse_reflectance": rgb(0.5, 0.4, 0.3)}}
