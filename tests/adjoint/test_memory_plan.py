@@ -97,8 +97,8 @@ def prepared(name: str, **settings) -> rb.Renderer:
 
 SETTINGS_OF_CALLS = {"stride 1": {"chunk": 4096}, "log": {"chunk": 2048, "adjoint": rb.MemoizedAdjoint("log")},
                      "attached": {"chunk": 4096, "sampling": "attached"}, "tape": {"adjoint": rb.TapeAdjoint()}}
-QUICK = [("a bitmap beside glass and metal", kind) for kind in SETTINGS_OF_CALLS] + [
-    ("paths from lamps", kind) for kind in ("stride 1", "log")]
+QUICK = [("a bitmap beside glass and metal", kind) for kind in ("stride 1", "log", "attached")] + [
+    ("colours of a diffuse room", "tape"), ("paths from lamps", "stride 1")]
 
 
 @pytest.mark.parametrize("name, kind", [

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 DIFFUSE = {"type": "diffuse"}
 FINE_ENOUGH = 160, 80  # facets around a mesh and from pole to pole, by 2.25 degrees each
-SEEDS = 24
+SEEDS = 12
 
 
 def ball(bsdf: dict) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import torch
 
 import torch_radbp as rb
 from tests.boundary.random_places import eyes_around, of_each
+from tests.deep import deep
 from tests.scenes import diffuse, load, sensor
 from tests.scenes.meshes import wavy
 from tests.scenes.shadows import CUBE, FLOOR
@@ -91,7 +92,7 @@ def test_slabs_hold_all_edges_below_and_are_no_thicker_than_boxes(casting):
         assert (node.thickness <= most + 1e-5)[filled].all(), first
 
 
-@pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
+@pytest.mark.parametrize("stages", [deep(EAGER), compiled()], ids=["eager", "compiled"])
 def test_what_is_found_adds_up_to_all_that_is_seen(casting, stages):
     geometry, casting = casting
     eyes, slots, sums = rows(eyes_around(), torch.arange(40)), casting.tree.slots, []

@@ -25,7 +25,7 @@ from torch_radbp.scene.packing.pack import pack
 from torch_radbp.shape.surface import grid
 
 
-@pytest.mark.parametrize("rfilter", deep_but(["box", "gaussian", "lanczos"], [
+@pytest.mark.parametrize("rfilter", deep_but(["box", "lanczos"], [
     "box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"]))
 def test_each_pixel_gains_what_the_filter_counts_at_an_edge_that_moves(rfilter):
     """A half plane that glows, left of x = 0.05: column j changes by jump * filter(edge - centre of j) * velocity.
@@ -93,7 +93,7 @@ FAR_OFF = {"sphere": (GLOW, 0.05), "cube": (GLOW, 0.02), "lit cube": ({"bsdf": d
 
 @pytest.mark.parametrize("kind, dtype, far", [
     ("sphere", torch.float32, 4e3), deep("cube", torch.float32, 4e3), ("lit cube", torch.float32, 4e3),
-    deep("sphere", torch.float64, 1e4), ("cube", torch.float64, 1e4), deep("lit cube", torch.float64, 1e4)])
+    deep("sphere", torch.float64, 1e4), deep("cube", torch.float64, 1e4), deep("lit cube", torch.float64, 1e4)])
 def test_outlines_and_creases_far_from_the_origin_are_those_near_it(kind, far, dtype):
     """Slanted faces, of which a ray beside an edge meets one much nearer or farther than the edge itself."""
     look, tolerance = FAR_OFF[kind]
@@ -119,7 +119,7 @@ def camera(kind: str) -> dict:
 
 
 # Samples by which the noise is far below 2 %: none of an outline through a pinhole; through a lens, a sphere's is rare.
-@pytest.mark.parametrize("kind, shape, spp", [("perspective", "sphere", 1 << 11), ("perspective", "cube", 1 << 11),
+@pytest.mark.parametrize("kind, shape, spp", [("perspective", "sphere", 1 << 11), deep("perspective", "cube", 1 << 11),
                                               deep("thinlens", "sphere", 1 << 14), ("thinlens", "cube", 1 << 12)])
 def test_a_narrower_view_magnifies_whatever_is_seen(kind, shape, spp):
     """The light of a thing that is wholly in view is that over 1 / tan^2(x_fov / 2) of the image, with any lens."""
@@ -355,7 +355,7 @@ def test_what_small_jumps_add_to_the_pose_of_an_instance_is_not_lost_beside_a_la
             return shown, strength
 
         monkeypatch.setattr(primary, "differences", chosen)
-        image = rb.Renderer(scene, spp=4096, max_depth=1, terms=["primary"], adjoint=adjoint)(seed=1)
+        image = rb.Renderer(scene, spp=1024, max_depth=1, terms=["primary"], adjoint=adjoint)(seed=1)
         return torch.autograd.grad((image * weight).sum(), pose)[0].double()
 
     large, small, both = gradient(1e6, 0.0), gradient(0.0, 0.01), gradient(1e6, 0.01)

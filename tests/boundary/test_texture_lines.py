@@ -133,7 +133,7 @@ def test_the_light_of_squares_under_a_lamp_follows_a_narrower_view():
                        terms=("primary",))
     pose, floor = (scene.get_parameter(name).detach().double() for name in ("sensor.to_world", "floor.to_world"))
     inverse, to_uv = torch.linalg.inv(floor), torch.as_tensor(CHECKERBOARD["to_uv"]).double()
-    x, y = torch.meshgrid(*((torch.arange(2400, dtype=torch.float64) + 0.5) / 1200 - 1,) * 2, indexing="ij")
+    x, y = torch.meshgrid(*((torch.arange(1200, dtype=torch.float64) + 0.5) / 600 - 1,) * 2, indexing="ij")
 
     def seen(fov: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Which colour each direction meets, and how bright the light is there."""

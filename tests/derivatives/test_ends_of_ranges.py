@@ -65,7 +65,7 @@ def beyond(example: Example, end: str) -> Tensor | None:
 
 
 def cases() -> list:
-    """Parameters with the ends of their ranges, each example once; quick are those of `ABSENT`, and every fourth."""
+    """Parameters with the ends of their ranges, each example once; quick are those of `ABSENT`, and every eighth."""
     found = {}
     for pair in map(str, sorted(registered())):
         if pair not in EXAMPLES:
@@ -73,7 +73,7 @@ def cases() -> list:
         example = EXAMPLES[pair]
         for end in ends_of(example)[1]:
             found.setdefault((example, end), pair)
-    return [pytest.param(example, end, pair, id=f"{pair}, {end}", marks=[] if pair in ABSENT or place % 4 == 0 else DEEP)
+    return [pytest.param(example, end, pair, id=f"{pair}, {end}", marks=[] if pair in ABSENT or place % 8 == 0 else DEEP)
             for place, ((example, end), pair) in enumerate(found.items())]
 
 

@@ -38,10 +38,9 @@ OUTLINES = {"outline of a cube": 512, "outline of a mesh": 512, "outline of a ba
             "outline, thinlens": 1536, "outline, fisheye": 512}
 
 # Some of each kind, the least noisy ones; the others are deep.
-QUICK = ("plane shifted", "vertices with their normals", "instance turned", "texture turned", "envmap seen",
-         "plane turned under an envmap", "point light", "directional light", "emitter seen", "ggx glass, index",
-         "mirror turned", "camera turned", "camera without perspective", "principal point x", "thinlens, aperture_radius",
-         "calibrated, k2", "distances")
+QUICK = ("plane shifted", "vertices with their normals", "texture turned", "envmap seen", "point light",
+         "directional light", "emitter seen", "ggx glass, index", "mirror turned", "camera turned",
+         "camera without perspective", "thinlens, aperture_radius", "calibrated, k2", "distances")
 STATED = [*(Row(name, 0.02, NOISY.get(name, SPP)) for name in SCENES if name not in {**COARSE, **OUTLINES}),
           *(Row(name, 0.05, spp) for name, spp in COARSE.items()),
           *(Row(name, 0.02, NOISY[name]) for name in COARSE),

@@ -25,7 +25,7 @@ SHOWN = {
     (0.3, 1024): ("cubes of a mesh, in a mirror", "lamp in a ceiling, ceiling", "lamp in a ceiling, by way of a wall"),
 }
 ROWS = [Row(name, bias, spp) for (bias, spp), names in SHOWN.items() for name in names]
-QUICK = ("checkerboard", "walls that cross")
+QUICK = ("walls that cross",)  # lines of textures have `boundary/test_texture_lines.py` and `test_mirrors.py`
 
 
 def test_every_scene_is_examined():

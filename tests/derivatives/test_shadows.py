@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.deep import deep_but
+from tests.deep import deep, deep_but
 from tests.derivatives.in_expectation import Effort, Estimate, Row, assert_agrees
 from tests.scenes import diffuse, load, overhead, rgb
 from tests.scenes.shadows import FLOOR, LAMPS, PLATE, SHADOWS, VIEWED
@@ -89,7 +89,7 @@ def half_plane(**lamp) -> rb.Scene:
 
 @pytest.mark.parametrize("moving, along, speed", [
     ("plate.to_world", 0, LAMP / (LAMP - HEIGHT)), ("lamp.position", 0, -HEIGHT / (LAMP - HEIGHT)),
-    ("plate.to_world", 1, 0.0)])
+    deep("plate.to_world", 1, 0.0)])
 def test_the_border_of_a_half_plane_before_a_point_light_moves_as_it_does_by_hand(moving, along, speed):
     """The light lost is that of the border times its speed: by similar triangles H / (H - h), and -h / (H - h)."""
     far = LAMP / (LAMP - HEIGHT)

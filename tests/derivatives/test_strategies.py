@@ -179,6 +179,7 @@ def test_the_backward_pass_can_have_samples_of_its_own(sampling):
     assert_same(names, found, expected, 1e-14)
 
 
+@pytest.mark.deep
 def test_all_scenes_have_an_image():
     for name in SCENES:
         image = rb.render(build(name), seed=3, **SETTINGS)

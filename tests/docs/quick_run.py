@@ -33,7 +33,8 @@ RADBP = [sys.executable, "-m", "torch_radbp.training.cli"]
 OUTPUT = "output.txt"  # in the folder of a script
 MOST = {"spp": 2, "resolution": 16, "width": 16, "height": 16, "steps": 2, "epochs": 2, "count": 3, "max_iter": 1}  # by name
 FEWEST = {"rb.check_gradient": {"batches": 8}}  # arguments of calls that do not name them
-STEPS, COUNTED = 2, ("step", "epoch")  # of loops over these
+STEPS = 2
+COUNTED = {"step": STEPS, "epoch": STEPS, "scale": 1}  # turns of loops over these
 BOUNCES = 2  # of all renderers
 
 
@@ -74,8 +75,8 @@ class Smallest(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_For(self, node: ast.For) -> ast.AST:
-        if ast.unparse(node.target) in COUNTED:
-            node.iter = ast.parse(f"list({ast.unparse(node.iter)})[:{STEPS}]", mode="eval").body
+        if turns := COUNTED.get(ast.unparse(node.target)):
+            node.iter = ast.parse(f"list({ast.unparse(node.iter)})[:{turns}]", mode="eval").body
         return self.generic_visit(node)
 
 

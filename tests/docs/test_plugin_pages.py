@@ -22,7 +22,8 @@ from torch_radbp.plugin import REGISTRY, Plugin, Texture, attributes
 
 PLUGINS = [(category, name) for category in REGISTRY for name in sorted(REGISTRY[category])]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SMALLER = {"256": "8", "128": "4", "64": "1"}  # pixels of a side, and samples
+SMALLER = {"256": "8", "128": "4", "64": "1", '"max_depth": 8': '"max_depth": 3',  # pixels of a side, samples, bounces
+           '"max_depth" value="8"': '"max_depth" value="3"'}
 
 
 @cache
@@ -33,8 +34,8 @@ def parts(category: str) -> dict[str, str]:
 
 
 def blocks(category: str, heading: str) -> list[tuple[str, str]]:
-    """Language and source of the blocks of code under a heading, with fewer pixels and samples."""
-    return [(language, re.sub(r"\b(256|128|64)\b", lambda match: SMALLER[match[0]], source))
+    """Language and source of the blocks of code under a heading, with fewer pixels, samples and bounces."""
+    return [(language, re.sub(r'\b(256|128|64)\b|"max_depth"(:| value=)( 8|"8")', lambda match: SMALLER[match[0]], source))
             for language, source in BLOCK.findall(parts(category)[heading])]
 
 

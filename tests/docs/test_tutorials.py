@@ -21,7 +21,8 @@ TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("[0-9]*.py"))
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MODULES = {"bake", "losses", "optim", "priors"}  # public modules
 FOR_PLUGINS = {"interface", "plugin", "tensors", "texture"}  # what is derived from where a plugin is written
-SLOW = {"06_shape", "15_three_materials"}  # of large meshes, and of hundreds of renderings, in the smallest form, too
+# Of large meshes, of hundreds of renderings, and of 24 cameras, in the smallest form, too.
+SLOW = {"06_shape", "15_three_materials", "unknown_light"}
 MOST_LINES, MOST_OF_AN_EXAMPLE = 62, 40
 WIDEST = 90  # characters of code that fit the box of a page, of which `python -m docs.widths` measures the pixels
 

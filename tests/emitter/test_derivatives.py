@@ -98,7 +98,8 @@ def check(module: nn.Module, name: str, inputs: tuple, gradients_of: list[str]) 
     assert torch.autograd.gradcheck(outputs, (*values, *inputs), eps=1e-6, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("name", [deep(name) if name == "all" else name for name in PARAMETERS])
+@pytest.mark.parametrize("name", [
+    deep(name) if name in ("all", "area", "spot") else name for name in PARAMETERS])  # others have what these have
 def test_a_light_sample_has_the_right_derivatives(name):
     torch.manual_seed(0)
     module = Sampled(load(sensor=sensor(2), **FLOOR, **SCENES[name]))
@@ -108,10 +109,10 @@ def test_a_light_sample_has_the_right_derivatives(name):
     check(module, name, inputs, PARAMETERS[name])
 
 
-@pytest.mark.parametrize("name", deep_but(["area"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
+@pytest.mark.parametrize("name", deep_but(["area_sphere"], ["area", "area_mesh", "area_sphere", "envmap", "all"]))
 def test_emission_and_its_density_have_the_right_derivatives(name):
     torch.manual_seed(0)
-    module = Hit(load(sensor=sensor(2), **FLOOR, **SCENES[name]), count=12)
+    module = Hit(load(sensor=sensor(2), **FLOOR, **SCENES[name]))
     emits = emitted(module.proposal, module.view.ray, module.view.si).x > 0
     assert emits.sum() >= 3
     names = [parameter for parameter in PARAMETERS[name]

@@ -212,10 +212,10 @@ def test_a_group_that_changes_is_built_again():
     assert renderer.last_caster.groups[0].tree is not before.groups[0].tree and not torch.equal(first, second)
 
 
-def test_a_thousand_instances():
+def test_hundreds_of_instances():
     """Their triangles exist once."""
     places = [translate((x, y, -0.2 * x)) @ rotate((0, 0, 1), 7 * x + 11 * y) @ scale((0.3, 0.3, 0.3))
-              for x in range(-20, 20) for y in range(-13, 12)]
+              for x in range(-20, 20, 2) for y in range(-12, 12, 2)]
     shown = {f"i{number}": {"type": "instance", "to_world": place, "group": GROUP} for number, place in enumerate(places)}
     both = {"type": "twosided", "one": diffuse(0.7, 0.4, 0.2)}
     scene = load(torch.float32, camera=sensor(16, (0, 0, 50), (0, 0, 0), 45), sky=SURROUNDINGS["sky"],
@@ -223,11 +223,11 @@ def test_a_thousand_instances():
     assert len(scene.shapes) == 1 and len(pack(scene).triangles.material) == 4
     poses = [instance.to_world.requires_grad_() for instance in scene.groups[id(scene.group)]]
     positions = scene.get_parameter("group.sheet.vertex_positions").requires_grad_()
-    with pytest.warns(rb.SilhouetteWarning, match="`group.sheet.vertex_positions` and `i0.to_world` and .* and 993 others"):
+    with pytest.warns(rb.SilhouetteWarning, match="`group.sheet.vertex_positions` and `i0.to_world` and .* and 233 others"):
         image = rb.Renderer(scene, terms=["interior"], **settings(spp=64))(seed=0)
     *of_poses, of_positions = torch.autograd.grad(image.sum(), [*poses, positions])
     assert torch.isfinite(torch.stack(of_poses)).all() and torch.isfinite(of_positions).all()
-    assert (torch.stack(of_poses).abs().amax((1, 2)) > 0).sum() > 900 and of_positions.abs().max() > 0
+    assert (torch.stack(of_poses).abs().amax((1, 2)) > 0).sum() > 0.9 * len(poses) and of_positions.abs().max() > 0
 
 
 def test_attributes_are_shown_by_every_instance():

@@ -20,7 +20,7 @@ from tests.scenes.materials import MATERIALS
 from torch_radbp.tensors.vec import Vec3, dot
 from torch_radbp.vertex.material import Material, sample
 
-LANES = 1 << 18
+LANES = 1 << 17
 BRUSHED = {"type": "roughconductor", "alpha": 0.3}
 TILTED, STEEP = [0.7, 0.55, 0.85], [0.9, 0.4, 0.75]  # normals, as colours
 
