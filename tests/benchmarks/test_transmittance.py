@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from benchmarks.transmittance import by_series, grids, medium_of, rays_through, tracked
+from torch_radbp.tensors.vec import Ray
 
 RAYS, REPEATS, STEPS = 64, 80, 400
 
@@ -18,9 +19,9 @@ def measured():
     kind, table = medium_of(grid)
     depth = sum(kind.extinction(table, ray.o + ray.d * ((step + 0.5) / STEPS * length), ray.d).x for step in range(STEPS))
     estimators = {"ratio": tracked(grid, False), "residual ratio": tracked(grid, True), "series": by_series(grid)}
+    rays, lengths = Ray(*(part.map(lambda c: c.repeat(REPEATS)) for part in ray)), length.repeat(REPEATS)
     return torch.exp(-depth * length / STEPS), {
-        name: torch.stack([estimate(ray, length, seed)[0] for seed in range(REPEATS)])
-        for name, estimate in estimators.items()}
+        name: estimate(rays, lengths, 0)[0].reshape(REPEATS, RAYS) for name, estimate in estimators.items()}
 
 
 @pytest.mark.parametrize("name", ["ratio", "residual ratio", "series"])

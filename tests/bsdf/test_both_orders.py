@@ -102,7 +102,7 @@ def integral(name: str, what: str, theta: float, z: float, random) -> float:
 
 
 @pytest.mark.parametrize("z", [0.8, -0.85])
-@pytest.mark.parametrize("name, what", deep_but_every(8, CASES))
+@pytest.mark.parametrize("name, what", deep_but_every(12, CASES))
 def test_both_orders_agree_with_differences(name, what, z):
     if z < 0 and (name == "mask" or not KINDS[name].transmits or (what in IN_FRONT and "principled" in name)):
         pytest.skip("black from behind")

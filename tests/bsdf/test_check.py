@@ -10,6 +10,7 @@ from torch_radbp.check.balance import claims
 from torch_radbp.plugin import BSDF, REGISTRY, register
 
 QUICK = {"samples": 10_000}
+RICH = ("bumps", "hills", "leaf", "nested blend")  # of several plugins each
 PLUGINS = [name for name, plugin in REGISTRY["bsdf"].items() if plugin.__module__.startswith("torch_radbp.")]
 # What the models are known for, see `test_energy.py`; of others it is checked.
 NOT_RECIPROCAL = {"film", "sheet with all", "bumps", "brushed bumps", "mirror with bumps", "glass with bumps", "hills",
@@ -54,8 +55,7 @@ def test_a_new_bsdf_without_a_row_is_named():
         del REGISTRY["bsdf"]["glitter"]
 
 
-@pytest.mark.parametrize("name", deep_but(covering({name: bsdf for name, bsdf in MATERIALS.items()
-                                                    if name != "blend of principled"}), MATERIALS))  # `blend` is quicker
+@pytest.mark.parametrize("name", deep_but(covering({name: MATERIALS[name] for name in (*RICH, *MATERIALS)}), MATERIALS))
 def test_a_material_is_what_it_says(name):
     result = check_bsdf(material(MATERIALS[name]), **QUICK)
     assert result.agrees, str(result)

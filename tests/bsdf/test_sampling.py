@@ -28,6 +28,7 @@ from torch_radbp.check.scattering import VIEWERS, Subject, fit, viewed
 from torch_radbp.tensors.vec import Vec3
 
 COUNT = 100_000
+FEW = 20_000  # where nothing is a mean
 
 
 def subject_of(bsdf) -> Subject:
@@ -35,7 +36,7 @@ def subject_of(bsdf) -> Subject:
 
 
 @pytest.mark.parametrize("name, angle", [
-    (name, angle) if (first + second) % 2 else deep(name, angle)
+    deep(name, angle) if (first + second) % 3 else (name, angle)
     for first, name in enumerate(SMOOTH) for second, angle in enumerate(VIEWERS)])
 def test_directions_follow_their_density(name, angle):
     if VIEWERS[angle] < 0 and not KINDS[name].transmits:
@@ -106,7 +107,7 @@ def test_the_test_notices_a_wrong_roughness():
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_choice_is_made_with_its_probability(name):
     bsdf = material(MATERIALS[name]).requires_grad_()
-    kind, wi, random = bsdf.kind(), directions(COUNT), random_numbers(COUNT)
+    kind, wi, random = bsdf.kind(), directions(FEW), random_numbers(FEW)
     choice, _ = sampled(kind, values_of(bsdf, wi.z), wi, random)
     assert not choice.probability.requires_grad and not choice.lobe.requires_grad
     assert (choice.probability > 0).all() and (choice.probability <= 1).all()
@@ -159,9 +160,9 @@ def test_delta_lobes_take_what_the_density_of_the_smooth_ones_leaves(name):
 @pytest.mark.parametrize("name", ROUGH)
 def test_the_density_with_fixed_lobes_has_another_derivative_only_where_lobes_are_chosen(name):
     bsdf = material(MATERIALS[name]).requires_grad_()
-    kind, wi = bsdf.kind(), Vec3(*(component.requires_grad_() for component in directions(COUNT)))
+    kind, wi = bsdf.kind(), Vec3(*(component.requires_grad_() for component in directions(FEW)))
     values = values_of(bsdf, wi.z)
-    wo = sampled(kind, values, wi, random_numbers(COUNT)).wo.detach()
+    wo = sampled(kind, values, wi, random_numbers(FEW)).wo.detach()
     pdf, fixed = (kind.eval_pdf(values, wi, wo, fixed_lobes)[1] for fixed_lobes in (False, True))
     assert (pdf > 0).double().mean() > 0.3 and torch.equal(pdf, fixed)
     moved = [wi.z, *bsdf.parameters()]

@@ -103,7 +103,8 @@ def test_images_have_the_same_bits_in_bands_and_chunks_of_any_size(name, border,
     for spp in (3, 20):
         once, expected = image(1 << 18, spp=spp)
         assert once == 1 and expected.abs().max() > 0.1
-        for band, chunk in ((1, 1), (20, 1), (30, 9 * 20 * 2), (1 << 18, 1)):
+        bands = ((1, 1), (20, 1), (1 << 18, 1)) if spp == 3 else ((20, 1), (30, 9 * 20 * 2))
+        for band, chunk in bands:
             groups, found = image(band, spp=spp, chunk=chunk)
             assert groups > 1 or chunk > 1 or band == 1 << 18
             assert torch.equal(found, expected), (spp, band, chunk)

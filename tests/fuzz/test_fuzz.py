@@ -38,8 +38,9 @@ def test_every_seed_loads(corpus, family):
     for number, seed in enumerate(dict.fromkeys(corpus[family])):
         path = seed.folder / f"seed{number}{FAMILIES[family]}"
         path.write_bytes(seed.content)
-        if path.parent.name.startswith(("camera_", "cornell_")) and number % 7:
-            continue  # much alike
+        alike = path.parent.name.startswith(("camera_", "cornell_")) or (family == "png" and len(seed.content) > 10_000)
+        if alike and number % 7:
+            continue
         verdict = judge(family, path)
         if GREY_NORMALS not in verdict.detail:
             assert verdict == ("loaded", "", "")
@@ -145,11 +146,11 @@ def test_a_scene_that_is_saved_wrongly_is_a_fault(monkeypatch):
     ("import os; input(); os.abort()", "process ended by SIGABRT"),
     ("input(); import ctypes; ctypes.string_at(0)", "process ended by SIGSEGV"),
     ("input(); raise SystemExit(3)", "process ended by exit code 3"),
-    ("input(); import time; time.sleep(60)", "hangs for 0.5 s"),
+    ("input(); import time; time.sleep(60)", "hangs for 0.2 s"),
     ("import signal; signal.setitimer(signal.ITIMER_PROF, 0.05)\nwhile True: pass", "process ended by SIGPROF: more than"),
 ])
 def test_crashes_and_hangs_are_faults_and_the_next_mutant_is_judged(program, kind):
-    worker = Worker([sys.executable, "-c", program], wall_seconds=0.5 if "sleep" in program else 60)
+    worker = Worker([sys.executable, "-c", program], wall_seconds=0.2 if "sleep" in program else 60)
     for _ in range(2):
         verdict = worker.judge("obj", Path("x"))
         assert verdict[0] == "fault" and verdict[1].startswith(kind)

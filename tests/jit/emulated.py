@@ -48,7 +48,7 @@ def on_processor(text: str, backwards: bool = False) -> str:
     kinds = [parameter.split()[0] for parameter in parameters.split(", ")]
     loads = "\n".join(f"  %at{k} = getelementptr i64, ptr %words, i64 {k}\n  %word{k} = load {kind}, ptr %at{k}, align 8"
                       for k, kind in enumerate(kinds))
-    text = re.sub(r"target triple.*\n|declare i32 @llvm.nvvm.*\n|attributes #0.*\n|.* = call i32 @llvm.nvvm.*\n", "", text)
+    text = re.sub(r"(?m)^(target triple|declare i32 @llvm.nvvm|attributes #0|.* = call i32 @llvm.nvvm).*\n", "", text)
     text = text.replace(f"define ptx_kernel void @{name}(", f"define internal void @{name}(i32 %block, i32 %thread, ")
     text = text.replace(") #0 {", ") {").replace(' syncscope("device")', "")
     arguments = ", ".join(f"{kind} %word{k}" for k, kind in enumerate(kinds))

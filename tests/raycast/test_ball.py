@@ -1,5 +1,7 @@
 """Tessellated spheres that are cast without a tree: the same answers as from their triangles."""
 
+from functools import lru_cache
+
 import pytest
 import torch
 
@@ -53,20 +55,21 @@ def rays_near(vertices: torch.Tensor, lanes: int = LANES, seed: int = 1) -> Ray:
     return Ray(Vec3.of(o), Vec3.of(target - o))
 
 
-def from_triangles(vertices: torch.Tensor, faces: torch.Tensor, ray: Ray):
-    """The hits of triangles: those that Embree names, in float64."""
+@lru_cache(maxsize=1)  # for one caster after the other
+def from_triangles(things: str, dtype: torch.dtype):
+    """A mesh of `THINGS`, rays near it, and the hits of its triangles: those that Embree names, in float64."""
+    vertices, faces, balls = mesh_of(THINGS[things], dtype)
+    ray = rays_near(vertices)
     hit = Embree(vertices, faces).intersect(ray)
     t = torch.where(hit.prim >= 0, crossing(vertices, faces, ray, hit.prim.clamp_min(0)), torch.inf)
-    return hit.prim, t
+    return vertices, faces, balls, ray, hit.prim, t
 
 
 @pytest.mark.parametrize("name", COMPILED)
 @pytest.mark.parametrize("things", THINGS)
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_balls_are_met_where_their_triangles_are(name, things, dtype):
-    vertices, faces, balls = mesh_of(THINGS[things], dtype)
-    ray = rays_near(vertices)
-    prim, t = from_triangles(vertices, faces, ray)
+    vertices, faces, balls, ray, prim, t = from_triangles(things, dtype)
     hit = make_caster(name, vertices, faces, balls).intersect(ray)
     met = prim >= 0
     assert 0.2 < met.float().mean() < 0.99

@@ -55,7 +55,7 @@ def renderings() -> dict[str, Callable[[], torch.Tensor]]:
     def rendering(parameter: str, size: int = 64, **settings) -> Callable[[], torch.Tensor]:
         scene = cornell(torch.float32, size)
         scene.get_parameter(parameter).requires_grad_()
-        return rb.Renderer(scene, **{"spp": 16, "max_depth": 3} | settings)
+        return rb.Renderer(scene, **{"spp": 16, "max_depth": 2} | settings)
 
     colour, vertices = "white.reflectance.value", "box.vertex_positions"
     still, moving = rendering(colour, chunk=1 << 16), rendering(vertices)  # one chunk, which is not dealt out
@@ -64,7 +64,7 @@ def renderings() -> dict[str, Callable[[], torch.Tensor]]:
     tangent = {colour: torch.ones(3)}
     return {"compiled": lambda: still().sum().backward(), "eager": lambda: eager().sum().backward(),
             "vertices": lambda: moving().sum().backward(), "tape": lambda: tape().sum().backward(),
-            "forward mode": lambda: rb.jvp(still.scene, tangent, spp=16, max_depth=3),
+            "forward mode": lambda: rb.jvp(still.scene, tangent, spp=16, max_depth=2),
             "aovs": lambda: moving.aovs(["depth", "albedo"])["depth"].sum().backward()}
 
 

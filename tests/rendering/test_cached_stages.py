@@ -54,10 +54,13 @@ def told(*things) -> set[CodeType]:
     return set().union(*(codes(thing.__code__) for thing in named if isinstance(thing, FunctionType)))
 
 
-@pytest.mark.parametrize("name, sampling", [("textures", "hybrid"), deep("materials", "attached"),
-                                            *(deep(name, "hybrid") for name in EVERYTHING if name != "textures")])
-def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, monkeypatch):
-    """Of the arguments with which a rendering calls stages; it runs them in plain torch, for nothing has to be compiled."""
+@pytest.mark.parametrize("name, sampling, every", [("textures", "hybrid", 2), deep("materials", "attached", 1),
+                                                   *(deep(name, "hybrid", 1) for name in EVERYTHING)])
+def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, every, monkeypatch):
+    """Of the arguments with which a rendering calls stages; it runs them in plain torch, for nothing has to be compiled.
+
+    Of those of a stage each so many, `every`.
+    """
     stages, calls = recording()
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "EAGER", stages)
     scene = build_everything(name, torch.float32)
@@ -68,7 +71,7 @@ def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, monke
     named, missing, compiled = [], {}, CompiledStages()
     for stage in (stage for stage in stages_of_the_package() if calls[stage.__name__]):
         function = compiled(stage).fused
-        for arguments in calls[stage.__name__].values():
+        for arguments in [*calls[stage.__name__].values()][::every]:
             given = Arguments(function.parameters, arguments)
             named.append(code_name(function.function, function.tables, given, target_of(given.device)))
             met = run_while(lambda: function.traced(given))  # noqa: B023

@@ -10,6 +10,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.gradients import assert_informative, image_and_gradients
 from tests.jit.emulated import Emulated
 from tests.rendering.host import place
@@ -81,14 +82,15 @@ class Refusals(TorchDispatchMode):
         return function(*args, **kwargs or {})
 
 
-@pytest.mark.parametrize("name", ["materials", "lamps"])
-def test_no_plugin_calls_what_torch_refuses(name, monkeypatch):
+@pytest.mark.parametrize("name, terms", [("materials", {"terms": ("interior",)}), ("lamps", {}), deep("materials", {})],
+                         ids=["materials", "lamps", "materials, all terms"])
+def test_no_plugin_calls_what_torch_refuses(name, terms, monkeypatch):
     monkeypatch.setattr(torch, "are_deterministic_algorithms_enabled", lambda: True)
     monkeypatch.setattr(running_sum, "sums_in_any_order", lambda device: True)
     scene = build_everything(name)
     wanted = [parameter.requires_grad_() for _, parameter in scene.named_parameters()]
     with Refusals() as refusals:
-        image = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", compile=False)(seed=1)
+        image = rb.Renderer(scene, spp=1, max_depth=2, caster="brute", compile=False, **terms)(seed=1)
         gradients = torch.autograd.grad(image.sum(), wanted, allow_unused=True)
     assert any(gradient is not None and gradient.any() for gradient in gradients)
     assert not refusals.found

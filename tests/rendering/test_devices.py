@@ -17,7 +17,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import torch_radbp as rb
 from benchmarks.ptx import Listing
-from tests.deep import deep_but
 from tests.rendering.recorded import SAMPLINGS, SCENES, build, calls_of, stage_named
 from torch_radbp.jit.compiled import Compiled
 from torch_radbp.jit.nvidia.gpu import Gpu
@@ -98,9 +97,17 @@ NOT_IN = {"materials": {"places", "way_to_light", *OF_MANY_LAMPS, *OF_FEW_EDGES}
                                *OF_CROSSINGS, *OF_MIRRORS, *OF_FEW_EDGES}}
 
 
-@pytest.mark.parametrize("sampling", deep_but(["hybrid"], SAMPLINGS))
-@pytest.mark.parametrize("name", deep_but(["networks"], SCENES))
-def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
+ALL = [pytest.param(name, sampling, 1, marks=pytest.mark.deep, id=f"{name}-{sampling}, all")
+       for name in SCENES for sampling in SAMPLINGS]
+
+
+def some(every: int):
+    """The quick row: each so many calls of a stage."""
+    return pytest.param("networks", "hybrid", every, id="networks-hybrid")
+
+
+@pytest.mark.parametrize("name, sampling, every", [some(2), *ALL])
+def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling, every):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
     without |= WITHOUT_ASKED.get(name, set()) | OF_CONTACTS | OF_MEDIA | (OF_LAMPS if name == "shining networks" else set())
@@ -109,7 +116,7 @@ def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling):
     looks = rb.scene.packing.pack.pack(scene).layout.appearances
     assert scatterers - {None} == {look for look in looks if not look.kind.invisible}  # which paths pass
     for name, cases in calls.items():
-        for arguments in cases.values():
+        for arguments in [*cases.values()][::every]:
             assert trace_on_cuda(stage_named(name), arguments) <= {CUDA}
 
 
@@ -134,12 +141,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
     return listing.texts
 
 
-SOME = pytest.param("networks", "hybrid", 4, id="networks-hybrid")
-ALL = [pytest.param(name, sampling, 1, marks=pytest.mark.deep, id=f"{name}-{sampling}, all")
-       for name in SCENES for sampling in SAMPLINGS]
-
-
-@pytest.mark.parametrize("name, sampling, every", [SOME, *ALL])
+@pytest.mark.parametrize("name, sampling, every", [some(4), *ALL])
 def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, every, monkeypatch):
     """The same kernels as for these arguments on the processor, by a GPU's target; and some where tables lie in rows."""
     stages = CompiledStages()

@@ -307,10 +307,11 @@ def both_ways(renderer: rb.Renderer) -> None:
         RenderFunction.backward(image.grad_fn, cotangent(image.detach()))
 
 
-@pytest.mark.parametrize("taped, adjoint", [(True, rb.MemoizedAdjoint()), (True, rb.MemoizedAdjoint(2)),
-                                            (True, rb.MemoizedAdjoint(2, keep_hits=False)),
-                                            (False, rb.MemoizedAdjoint(2, keep_hits=False)),
-                                            deep(False, rb.MemoizedAdjoint()), deep(False, rb.MemoizedAdjoint(2))], ids=repr)
+@pytest.mark.parametrize("taped, adjoint", [(True, rb.MemoizedAdjoint()), (True, rb.MemoizedAdjoint(2, keep_hits=False)),
+                                            (False, rb.MemoizedAdjoint(2, keep_hits=False)), *(
+                                                deep(*case) for case in ((True, rb.MemoizedAdjoint(2)),
+                                                                         (False, rb.MemoizedAdjoint()),
+                                                                         (False, rb.MemoizedAdjoint(2))))], ids=repr)
 def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeypatch):
     """And calls no function of lanes: what is left of a bounce in Python does not depend on what happens there."""
     monkeypatch.setattr("torch_radbp.rendering.cost.memory_of", lambda device: float("inf"))

@@ -22,7 +22,7 @@ pytest.importorskip("warp")
 ALBEDO, POSE, SKY = "floor.bsdf.reflectance.value", "plate.to_world", "sky.data"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def device() -> Iterator[Card]:
     with card() as made:
         yield made

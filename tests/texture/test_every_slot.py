@@ -41,7 +41,7 @@ def build(bsdf: dict) -> rb.Scene:
 
 
 @pytest.mark.parametrize("texture", deep_but(["checkerboard of attributes"], TEXTURES))
-@pytest.mark.parametrize("kind, slot", deep_but_every(2, SLOTS))
+@pytest.mark.parametrize("kind, slot", deep_but_every(3, SLOTS))
 def test_every_slot_gives_the_gradient_of_the_tape(kind, slot, texture):
     if (kind, texture) == LEVEL:
         texture = "of vertices"

@@ -60,7 +60,7 @@ GEOMETRY = [*WEIGHTS, *MOVING]
 
 
 @pytest.mark.parametrize("names, sampling, compile", [
-    (WEIGHTS, "hybrid", False), (WEIGHTS, "hybrid", True), (GEOMETRY, "attached", True), deep(GEOMETRY, "hybrid", True),
+    (WEIGHTS, "hybrid", False), deep(WEIGHTS, "hybrid", True), (GEOMETRY, "attached", True), deep(GEOMETRY, "hybrid", True),
     deep(GEOMETRY, "hybrid", False), *(deep(WEIGHTS, "attached", compile) for compile in (False, True)),
     deep(GEOMETRY, "attached", False)], ids=lambda value: "" if isinstance(value, list) else str(value))
 def test_every_strategy_gives_the_gradient_of_the_tape(names, sampling, compile):

@@ -52,7 +52,7 @@ def rendered(objects, name):
     """The image, and the gradient of a weighted sum of it with respect to a parameter."""
     scene = scene_of(objects)
     data = scene.get_parameter(name).requires_grad_()
-    image = rb.Renderer(scene, spp=4, max_depth=3, compile=False, caster="brute")(seed=1)
+    image = rb.Renderer(scene, spp=4, max_depth=3, compile=False)(seed=1)
     weights = torch.linspace(-1, 2, image.numel()).view_as(image)
     (image * weights).sum().backward()
     return image.detach(), data.grad

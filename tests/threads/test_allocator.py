@@ -1,10 +1,13 @@
 """Freed memory is used again, unless the environment has settings of its own for it."""
 
 import os
+import platform
 import subprocess
 import sys
 
 import pytest
+
+from torch_radbp.threads.allocator import keep_freed_memory
 
 PROGRAM = """
 import platform, resource, sys, threading
@@ -34,16 +37,15 @@ print(kept, platform.libc_ver()[0] or "other", faults[-1])
 WHOLE = "main", "64"  # one block of 64 MiB, on the first thread
 
 
-def outcome(*blocks: str, **settings: str) -> tuple[bool, str, int]:
+def outcome(*blocks: str) -> tuple[bool, str, int]:
     """Whether memory is kept, the C library, and how many pages blocks take that were just freed.
 
     Args:
         blocks: the thread, "main" or "helper", and their sizes in MiB.
-        settings: of the environment.
     """
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("MALLOC_", "GLIBC_TUNABLES"))}
     done = subprocess.run([sys.executable, "-c", PROGRAM, *blocks], stdout=subprocess.PIPE, text=True, check=True,
-                          env=environment | settings)
+                          env=environment)
     kept, library, pages = done.stdout.split()
     return kept == "True", library, int(pages)
 
@@ -58,6 +60,11 @@ def test_freed_memory_is_used_again(blocks):
 
 @pytest.mark.skipif(sys.platform != "linux", reason="these are settings of the GNU C library")
 @pytest.mark.parametrize("setting", ["MALLOC_TRIM_THRESHOLD_", "GLIBC_TUNABLES"])
-def test_settings_of_the_environment_are_left_alone(setting):
+def test_settings_of_the_environment_are_left_alone(setting, monkeypatch):
+    for name in [name for name in os.environ if name.startswith(("MALLOC_", "GLIBC_TUNABLES"))]:
+        monkeypatch.delenv(name)
+    ask = keep_freed_memory.__wrapped__  # each time
+    assert ask() == (platform.libc_ver()[0] == "glibc")
     value = {"MALLOC_TRIM_THRESHOLD_": "100000", "GLIBC_TUNABLES": "glibc.malloc.trim_threshold=100000"}[setting]
-    assert not outcome(*WHOLE, **{setting: value})[0]
+    monkeypatch.setenv(setting, value)
+    assert not ask()

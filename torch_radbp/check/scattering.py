@@ -124,8 +124,7 @@ def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tup
     for pair in torch.rand(TRIES, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64):
         u, v = (number.expand(count).clone() for number in pair)
         lobe_choice = kind.choose(subject.values(wi.z), wi, choice, u, v)
-        lobes, number = torch.stack([part.expand(count) for part in chosen_lobes(lobe_choice)], 1).unique(
-            dim=0, return_inverse=True)[1], lobe_choice.probability.expand(count)
+        lobes, number = numbered(chosen_lobes(lobe_choice), count), lobe_choice.probability.expand(count)
         frequency = torch.bincount(lobes).double() / count
         off = max(off, float((frequency[lobes] - number).abs().max()))
     # Of a lobe that others stand between, each border is counted half a step too far or too near.
@@ -135,6 +134,15 @@ def lobes_off(subject: Subject, where: str, seed: int, count: int = 4096) -> tup
 def chosen_lobes(choice: LobeChoice) -> list[Tensor]:
     """Tensors that distinguish chosen lobes: numbers of all nested choices, and probabilities."""
     return [choice.lobe, choice.probability, *(lobe for part in choice.parts for lobe in (part.lobe, part.probability))]
+
+
+def numbered(parts: list[Tensor], count: int) -> Tensor:
+    """(count,) int64 numbers of lanes, from 0 on: the same where all parts are the same."""
+    number = torch.zeros(count, dtype=torch.int64)
+    for part in parts:  # one by one, which is quicker than to compare rows
+        of_part = part.expand(count).unique(return_inverse=True)[1]
+        number = (number * count + of_part).unique(return_inverse=True)[1]
+    return number
 
 
 def scattering_findings(subject: Subject, count: int, seed: int) -> list[Finding]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from heapq import heapify, heappop, heappush
 
 import torch
 
@@ -45,24 +46,37 @@ def few_alive(values: Sequence[Value]) -> list[Value]:
     """
     if most_alive(values) <= REGISTERS:
         return list(values)
-    users = Counter(argument for value in values for argument in set(value.arguments))
+    needs = {value: set(value.arguments) for value in values}
     place = {value: number for number, value in enumerate(values)}
-    ready = {value for value in values if not users[value]}
+    users: dict[Value, list[Value]] = {value: [] for value in values}
+    for value in values:
+        for argument in needs[value]:
+            users[argument].append(value)
+    waiting = {value: len(users[value]) for value in values}  # users that are not placed
+    # Registers that a value adds if it is the next; it is alive itself if it has users.
+    added = {value: sum(map(registers, needs[value])) - registers(value) * bool(users[value]) for value in values}
+
+    def entry(value: Value) -> tuple[float, int, Value]:
+        return added[value], -place[value], value
+
+    ready = [entry(value) for value in values if not users[value]]
+    heapify(ready)
     alive: set[Value] = set()
-    placed: list[Value] = []
-
-    def added(value: Value) -> tuple[float, int]:
-        new = sum(registers(argument) for argument in set(value.arguments) if argument not in alive)
-        return new - registers(value) * (value in alive), -place[value]
-
+    placed: dict[Value, None] = {}
     while ready:
-        value = min(ready, key=added)
-        ready.remove(value)
-        alive.discard(value)
-        alive.update(value.arguments)
-        placed.append(value)
-        for argument in set(value.arguments):
-            users[argument] -= 1
-            if not users[argument]:
-                ready.add(argument)
-    return placed[::-1]
+        registers_added, _, value = heappop(ready)
+        if value in placed or registers_added != added[value]:
+            continue  # there is another entry, with fewer registers
+        placed[value] = None
+        for argument in needs[value]:
+            if argument not in alive:
+                alive.add(argument)
+                for user in users[argument]:
+                    added[user] -= registers(argument)
+                    if not waiting[user] and user not in placed:
+                        heappush(ready, entry(user))
+            waiting[argument] -= 1
+        for argument in needs[value]:
+            if not waiting[argument]:
+                heappush(ready, entry(argument))
+    return [*placed][::-1]
