@@ -3,9 +3,10 @@
 Another thing than `Renderer(compile=True)`, which compiles the functions of a bounce.
 """
 
+from collections import Counter
+
 import pytest
 import torch
-from torch._dynamo.utils import counters
 
 import torch_radbp as rb
 from tests.deep import deep
@@ -18,10 +19,13 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning")
 
 
 @pytest.fixture(autouse=True)
-def fresh_compiler():
-    """Nothing compiled before; afterwards `counters` tell what was."""
+def compiler_counts() -> dict[str, Counter]:
+    """What torch's compiler has counted since the test began; nothing was compiled before."""
+    from torch._dynamo.utils import counters  # here, since it takes a second, which collecting tests need not wait for
+
     torch._dynamo.reset()
     counters.clear()
+    return counters
 
 
 def scene_and_renderer(**settings) -> tuple[rb.Scene, rb.Renderer]:
@@ -44,7 +48,7 @@ def gradients(scene: rb.Scene) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize("backend", ["eager", deep("aot_eager")])
 @pytest.mark.parametrize("adjoint", [None, rb.MemoizedAdjoint("sqrt", keep_hits=False), rb.TapeAdjoint()], ids=repr)
-def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint):
+def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint, compiler_counts):
     scene, renderer = scene_and_renderer(adjoint=adjoint)
     other, plain = scene_and_renderer(adjoint=adjoint)
     compiled = torch.compile(renderer, backend=backend)
@@ -55,11 +59,11 @@ def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint)
         expected.square().sum().backward()
     assert_informative(image.detach(), gradients(other))
     assert all(torch.equal(found, wanted) for found, wanted in zip(gradients(scene), gradients(other)))
-    assert counters["stats"]["unique_graphs"] == 0  # nothing of the tracer
+    assert compiler_counts["stats"]["unique_graphs"] == 0  # nothing of the tracer
 
 
 @pytest.mark.parametrize("backend", [deep("eager"), "aot_eager"])
-def test_a_compiled_step_has_the_same_loss_and_gradient(backend):
+def test_a_compiled_step_has_the_same_loss_and_gradient(backend, compiler_counts):
     scene, renderer = scene_and_renderer()
     other, plain = scene_and_renderer()
     compiled = torch.compile(step, backend=backend)
@@ -67,10 +71,10 @@ def test_a_compiled_step_has_the_same_loss_and_gradient(backend):
         assert compiled(renderer, seed).item() == pytest.approx(step(plain, seed).item(), rel=1e-6)
     for found, wanted in zip(gradients(scene), gradients(other)):
         assert wanted.abs().max() > 0 and torch.allclose(found, wanted, rtol=1e-5, atol=1e-6 * float(wanted.abs().max()))
-    assert counters["stats"]["unique_graphs"] <= 4  # of the loss
+    assert compiler_counts["stats"]["unique_graphs"] <= 4  # of the loss
 
 
-def test_the_other_public_functions_may_be_called_in_compiled_code(tmp_path):
+def test_the_other_public_functions_may_be_called_in_compiled_code(tmp_path, compiler_counts):
     scene, tangents = cornell(torch.float32, 4), {"white.reflectance.value": torch.ones(3)}
 
     def everything() -> list[torch.Tensor]:
@@ -80,4 +84,4 @@ def test_the_other_public_functions_may_be_called_in_compiled_code(tmp_path):
 
     found, expected = torch.compile(everything, backend="eager")(), everything()
     assert all(torch.equal(a, b) for a, b in zip(found, expected))
-    assert counters["stats"]["unique_graphs"] <= 4
+    assert compiler_counts["stats"]["unique_graphs"] <= 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 import typing
@@ -30,9 +31,13 @@ def registered() -> set[Pair]:
             for parameter in own_parameters(plugin) | nested(plugin)}
 
 
+source = functools.cache(inspect.getsource)
+
+
+@functools.cache
 def own_parameters(plugin: type[Plugin]) -> set[str]:
     """Names that the code of a class, or of what it is derived from, gives to `freeze` or to torch, or says it may give."""
-    code = "".join(inspect.getsource(base) for base in plugin.__mro__ if issubclass(base, Plugin) and base is not Plugin)
+    code = "".join(source(base) for base in plugin.__mro__ if issubclass(base, Plugin) and base is not Plugin)
     return set(re.findall(r"(?:freeze|register_parameter)\(\s*\"(\w+)\"", code)) | set(
         re.findall(r"self\.(\w+) = (?:torch\.)?nn\.Parameter", code)) | set(getattr(plugin, "optional_parameters", ()))
 
