@@ -25,8 +25,8 @@ docs: $(VENV)/.installed
 	$(BIN)/python -m docs.build
 	$(BIN)/python -m docs.widths site
 
-# Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them, and so
-# is Python's, wherever its variable forbids that: tests start many processes.
+# Workers begin at either end of the list, and who is done takes from the other; compiled code is kept for all of them. Bytecode
+# is written even where PYTHONDONTWRITEBYTECODE is set, since tests start many processes.
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto --dist worksteal
 
 # `python -m tests.slowest` prints the durations.
