@@ -90,7 +90,7 @@ class MeshShown(NamedTuple):
         return self.mesh is other.mesh and self.part == other.part and _unchanged(self.chosen, other.chosen)
 
     def outline(self, instanced: bool) -> Outline:
-        """These edges in the world; `instanced`: the scene has instances."""
+        """The edges of the mesh as all chosen instances show them in the world; `instanced`: the scene has instances."""
         outline = self.mesh
         if self.chosen is None:
             return outline._replace(instance=torch.zeros_like(outline.crease)) if instanced else outline
@@ -338,7 +338,7 @@ KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
 def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> LineNumbers | None:
-    """The `LineNumbers` of the lines on each shape, attached; None: no line moves over its surface."""
+    """The coefficients of the texture lines on all shapes, attached; None: no line moves over its surface."""
     every = distinct(lines)
     numbers = line_numbers(every, call.scene.device) if every else None
     return numbers if every and (lines_move(numbers) or any_differentiated(call.scene.triangles.vertices.uv)) else None
@@ -379,7 +379,7 @@ def outlines_of(scene: Scene) -> Outlines:
 
 
 def _unchanged(table: Tensor | None, known: Tensor | None) -> bool:
-    """True if a table, or its absence, is unchanged; compared by identity."""
+    """True if a table has the values that it had, or is missing as it was."""
     return table is known if table is None or known is None else same_values(table, known)
 
 

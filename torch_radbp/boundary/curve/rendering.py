@@ -174,7 +174,7 @@ class Rendering:
 
     @cached_property
     def plain(self) -> tuple[bool, ...]:
-        """For each shape, whether points may slide over its triangles (plain materials); see `vertex.nearby`."""
+        """For each shape, whether light jumps on it at borders of shadows alone, so that points near a vertex may slide."""
         plain, sizes = self.call.scene.triangles.plain, self.sizes
         if plain is None:
             return (False,) * len(sizes)

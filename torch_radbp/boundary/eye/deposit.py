@@ -113,7 +113,7 @@ def attached_geometry(scene: SceneTensors) -> Geometry:
 
 
 def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
-    """(K,) zeros, attached: the areas that pieces of curves sweep when they move.
+    """(K,) zeros whose derivatives are those of the areas that pieces of curves sweep when they move.
 
     Args:
         seen: (K,) positions of the pieces, attached.

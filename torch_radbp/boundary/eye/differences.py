@@ -86,7 +86,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """The initial `Difference` of pairs: none yet."""
+    """The state of pairs of paths before any vertices are compared: no difference yet."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))
@@ -94,7 +94,7 @@ def unparted(pairs: Pairing) -> Difference:
 
 @stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
-    """The `Difference` of pairs of paths after one more vertex is compared.
+    """The first differences of pairs of paths after one more vertex is compared.
 
     Args:
         surfaces: of the scene.
@@ -147,8 +147,10 @@ def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """Whether neighbouring rays surely hit different surfaces; and BEND times the sine of the surface's bend between;
-    (N,)."""
+    """Whether neighbouring rays surely hit different surfaces, and how bent the surface is from hit to hit; (N,) each.
+
+    The latter is BEND times the sine of the greater angle between the line that joins the hits and the triangles there.
+    """
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)

@@ -217,7 +217,8 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
               found: tuple[EdgeLot, Tensor] | None) -> Passed | None:
-    """Samples points on edges that `lot_of_found` has selected; None: there are none. Other args as for `places_seen`."""
+    """Samples points on the edges that viewpoints have found; None: there are none. `found`: from `lot_of_found`; other args
+    as for `places_seen`."""
     if found is None:
         return None
     return stages(edge_passed)(geometry, outline, eyes, found[0], seed, extent_of(geometry), found[1])

@@ -27,8 +27,10 @@ from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
-    """The texture lines of K shapes, S each, as of `JumpLines`; (K S,) float64: the first of each shape, then the second,
-    ..."""
+    """The lines x u + y v + z = integer at which textures of K shapes jump, from a `first` integer to a `last` one.
+
+    S of them for each shape, in (K S,) float64 tensors: the first of each shape, then the second, ...
+    """
 
     x: Tensor
     y: Tensor

@@ -130,7 +130,7 @@ class Picked(NamedTuple):
 
 
 class PathsAtBounce(NamedTuple):
-    """The paths at a bounce, with parts of `Step` and `Onward`."""
+    """N paths at a bounce: what their rays hit, which of them are scattered on there, and in what state."""
 
     state: PathState  # (N,)
     hit: Hit  # (N,)
@@ -240,7 +240,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   settings: tuple[bool, float]) -> tuple[Tensor, Picked]:
-    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the selection.
+    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the vertices.
 
     Args:
         picked: the selection of all paths.
@@ -270,7 +270,7 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
 
 
 def flown(step: Step) -> tuple[Flight | None, Hit | None]:
-    """How far the rays of a bounce come through media, and the last boundary that each passes, as in `Viewpoints`."""
+    """How far the rays of a bounce come through media, and the last boundary of a medium that each passes, as a hit."""
     flight = step.flight
     if flight is None or flight.crossings is None:
         return flight, None

@@ -238,7 +238,7 @@ def radiance_lost(searched: Searched, integrand: Integrand, crossed: Crossings) 
 
 
 def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
-    """The derivatives of the crossed curves' level functions by the rays of the camera paths that see them."""
+    """The derivatives of the crossed curves' level functions by the rays that see the curves, and by the camera rays."""
     call, integrand = searched.call, follows_chains(integrand)
     sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
     chains = chains_of(integrand, started(call, sample), crossed.depth)

@@ -59,7 +59,7 @@ class CutOff(NamedTuple):
     sweep: Tensor | None = None  # (K,) swept area if all edges move by an equal step; None: unknown
 
     def independent(self) -> Tensor:
-        """The image changes in independent parts, here single samples; see `split.SampledIntegral`."""
+        """(3, K) changes of the image if all edges move alike, one for each sample, so that they are independent."""
         return self.strength * self.sweep
 
 
