@@ -164,13 +164,13 @@ class DefinitionReader:
         self.lasting = True
 
     def told(self, tell: Callable[[DefinitionReader], str]) -> Definition:
-        """The definition whose text a function tells."""
+        """The definition of a thing whose text `tell` returns, with all that the text refers to."""
         text = tell(self)
         digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
         return Definition(digest, tuple(self.references), self.lasting)
 
     def name(self, thing: Any) -> str:
-        """Stands for a thing that is to be defined."""
+        """The sign that stands in a text for a thing that is defined elsewhere; the thing is noted as a reference."""
         self.references.append(thing)
         return "#"
 
