@@ -36,7 +36,7 @@ class PlacedShape(NamedTuple):
 
 
 class TriangleNumbering(NamedTuple):
-    """How the triangles of a shape are numbered in AOVs."""
+    """How the AOVs `prim_index` and `shape_index` number the triangles of a shape."""
 
     counted: bool  # if not, they are one primitive, of number 0
     shape: int  # the number of the shape in the scene; 0: it belongs to a group
@@ -91,7 +91,10 @@ def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | 
 
 
 def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
-    """The `Surface.connections` of a shape's triangles; computed again only if its values have changed."""
+    """The topology of a shape's triangles and the like, detached; computed again only if the shape's values have changed.
+
+    Empty for shapes whose triangles depend on none.
+    """
     recipe = shape.connections()
     if recipe is None:
         return ()
@@ -101,7 +104,7 @@ def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
 
 
 def oriented(shape: Surface, connections_of_shape: tuple[NamedTuple, ...]) -> Triangles:
-    """The triangles of a shape in world space, oriented by its connections, if it has any."""
+    """The triangles of a shape in world space, turned inside out if it says so; `connections_of_shape`: its topology."""
     return shape.oriented(*connections_of_shape)
 
 
