@@ -46,7 +46,7 @@ class Copies:
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
-        """Drops what only the comparison with the last rendering needed; returns the copies."""
+        """Ends the rendering: drops what only the comparison with the last one needed; returns the object itself."""
         self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
         self.last_versions = {}
         self.numbers = {}
