@@ -138,7 +138,7 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
 
 
 def _spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
-    """Hits of the lanes `alive`, scattered to all lanes, (N,); undefined in the others."""
+    """The hits of the lanes `alive`, (M,) int32, put at these places among all N lanes; undefined elsewhere."""
     if hit is None:
         return None
     whole = Hit(*[None if part is None else part.new_empty(lanes) for part in hit])

@@ -34,7 +34,7 @@ from torch_radbp.vertex.interaction import corner_rows
 
 
 class Differentiated(NamedTuple):
-    """What is needed to differentiate the lanes of one event."""
+    """The part of the scene, its leaves and the compiled stage by which the lanes of one event are differentiated."""
 
     part: DifferentiatedPart
     leaves: list[int]  # the numbers of the leaves that are differentiated
@@ -85,7 +85,7 @@ class LocalAdjoints:
         self.of_positions = list(positions) if twice else []  # leaves
 
     def of_event(self, event: Event) -> Differentiated:
-        """What is needed to differentiate lanes with an event; cached."""
+        """The part of the scene, its leaves and the stage by which lanes with an event are differentiated; cached."""
         if event not in self.of_events:
             layout = self.integrand.scene.layout
             leaves = leaves_of_part(self.numbered, layout, self.integrand.scatterer(event))
