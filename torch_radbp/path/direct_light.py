@@ -158,8 +158,8 @@ SCATTERED = VertexQuantity(scattered, scattered_places, scattered_by_medium, lam
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw, flight: Flight | None = None) -> Vec3:
-    """The `direct_light` of all rays, (N,): of surfaces, and of media where paths scatter before them; 0 where nothing
-    scatters.
+    """The light of one light sample each that is scattered back along all rays, without shadows, (N,): by surfaces, or by
+    media where paths scatter before these; 0 where nothing scatters.
 
     Args:
         integrand: the scene, detached, and how to evaluate it.

@@ -123,7 +123,7 @@ class Integrand(NamedTuple):
         return self.part(event).call(places, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
-        """The position of a bounce on the path, as tensors."""
+        """The depth of a bounce on the path and whether Russian roulette is played there, as () tensors."""
         like = self.scene.lights.choice.pmf
         return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
 

@@ -70,7 +70,7 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
 
 
 def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
-    """For each medium a `MediumWay` of length 0; `none`: (N,) zeros."""
+    """For each medium the way through it before a ray's first segment, of length 0; `none`: (N,) zeros."""
     return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.heterogeneous else MediumWay(none)
                  for kind in scene.layout.media)
 

@@ -57,7 +57,7 @@ def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes
 
 
 def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` where all lanes have the same event.
+    """The lanes that have an event, in order, and the queues that they form, where it is the same for all.
 
     Args:
         event: of all lanes.
@@ -72,7 +72,7 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
 
 
 def queues_by(number: Tensor, events: Sequence[Event], apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
-    """Sorts lanes into queues by their numbers; returns `Step.order` and `Step.queues`.
+    """Sorts lanes into queues by their numbers; returns the lanes in the order of queues, (K,) int32, and the queues.
 
     Args:
         number: (N,) int32, as from `appearance_met`.

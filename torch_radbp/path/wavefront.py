@@ -129,7 +129,7 @@ class BroughtToFilm(NamedTuple):
 
 @stage("beta")
 def shining(beta: Vec3, order: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
-    """The contributions beta E of vertices of paths from lamps. Args as for `brightened`."""
+    """What vertices of paths from lamps bring to the film: throughput beta times E. Args as for `brightened`."""
     return rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 
