@@ -186,7 +186,7 @@ def without_modules(numbered: SceneTensors) -> SceneTensors:
 
 
 def held_of(integrand: Integrand) -> float:
-    """The greatest bytes per lane of textures' modules in the backward pass: rows, inputs, and adjoints of values."""
+    """The greatest number of bytes per lane that network textures hold in the backward pass: rows, inputs, and adjoints."""
     layout = integrand.scene.layout
     values = max(number_outside(layout, scatterer, integrand.settings.nee) for scatterer in (None, *layout.appearances))
     return values * (torch.int32.itemsize + 2 * len(Vec3._fields) * integrand.scene.lights.choice.pmf.dtype.itemsize)
