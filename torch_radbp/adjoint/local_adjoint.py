@@ -54,7 +54,7 @@ class LocalAdjoint(NamedTuple):
     seen_first: tuple[Sequence[int], Integrand] | None
 
     def vector_jacobian_product(self) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-        """The memo for the bounce above, and the adjoints of table reads and texture values; see `bounce_adjoint`."""
+        """Differentiates the lanes: the memo for the bounce above, and the adjoints of table reads and texture values."""
         return self.of_event.stage(self.of_event.part, *self.arguments)
 
     def contributions(self, above: Memo, adj_reads: list[list[TableAdjoint]]) -> list[Contribution]:

@@ -115,7 +115,7 @@ def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState
 
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
-    """The first rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
+    """The first rays of a wavefront's lanes, with the keys of their random numbers; `which` as for `start_paths`."""
     return joined(samples_of_chunks(call, wavefront, which))
 
 

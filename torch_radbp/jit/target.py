@@ -115,5 +115,5 @@ class Target(Protocol):
 
 @functools.cache
 def target_of(device: torch.device) -> Target:
-    """The `Target` for functions whose tensors lie on a device."""
+    """The target for functions whose tensors lie on a device: the CPU, a GPU, or one for which nothing is compiled."""
     return Cpu() if device.type == "cpu" else gpu_of(device) if device.type == "cuda" else AnyDevice()

@@ -100,7 +100,7 @@ class BoundaryCrossings:
         self.part, self.pick, self.rays = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows), rays
 
     def none(self) -> BoundaryCrossing:
-        """A `BoundaryCrossing` in which no ray crosses."""
+        """The record of a crossing of a medium's boundary in which no ray crosses one."""
         return apart(self.part.call(no_crossing, self.rays.o.x))
 
     def add(self, lanes: Tensor, hit: Hit, before: Tensor, after: Tensor, passes: Tensor) -> None:

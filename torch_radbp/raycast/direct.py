@@ -28,7 +28,7 @@ CPU = torch.device("cpu")
 
 
 class DirectCaster:
-    """A `RayCaster` without a tree, for small meshes on the CPU, in the dtype of the rays.
+    """A ray caster without a tree, for small meshes on the CPU, in the dtype of the rays.
 
     `cost` is that of one ray, in tests of a triangle.
 

@@ -14,7 +14,7 @@ from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 
 
 class ExpandedCaster:
-    """A `RayCaster` that copies the triangles of every instance and casts rays by a caster that knows no instances.
+    """A ray caster that copies the triangles of every instance and casts rays by a caster that knows no instances.
 
     Args:
         make: makes that caster, of vertices and faces.

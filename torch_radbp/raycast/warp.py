@@ -44,7 +44,7 @@ ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what the
 
 
 class Warp:
-    """A `RayCaster` for tensors on CUDA, or on the CPU; Warp itself works in float32.
+    """A ray caster for tensors on CUDA, or on the CPU, by Warp, which itself works in float32.
 
     For float64 rays u, v and t are computed again in float64 from the ray and the triangle found. Geometry that moves gets a
     new tree, as with the other casters, so that graphs keep the old one; the trees of groups are taken from the last caster

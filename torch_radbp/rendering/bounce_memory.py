@@ -177,7 +177,7 @@ def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None,
 
 
 def without_modules(numbered: SceneTensors) -> SceneTensors:
-    """The record of leaf numbers, see `numbered_leaves`, with those of modules' parameters left out."""
+    """A record of the scene's structure with the gradient index of each leaf, without those of modules' parameters."""
     def emptied(bank):
         return bank._replace(parameters=tuple((None,) * len(own) for own in bank.parameters)) if (
             isinstance(bank, ModuleBank)) else bank

@@ -33,7 +33,7 @@ UNLIMITED = 1024  # bounces; roulette ends a path long before
 
 
 class RendererSettings(TypedDict, total=False):
-    """The keyword arguments of `Renderer` except scene and spp, for functions that pass them on; see there."""
+    """The types of the keyword arguments of `Renderer` but scene and spp, for functions that pass these arguments on."""
 
     max_depth: int | None
     rr_depth: int | None

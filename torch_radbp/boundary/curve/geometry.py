@@ -46,7 +46,7 @@ class Between(NamedTuple):
 
 
 def geometry_of(scene: SceneTensors) -> Geometry:
-    """The `Geometry` of a scene; it has texture coordinates only if these are differentiated."""
+    """The triangles of a scene, as boundary terms read them; with texture coordinates only if these are differentiated."""
     triangles = scene.triangles
     vertices = triangles.vertices._replace(attributes=())
     vertices = vertices if any_differentiated(vertices.uv) else vertices._replace(uv=None)

@@ -345,7 +345,7 @@ def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> Line
 
 
 def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:
-    """The numbers of moving shapes outside of groups; args as for `Outlines.of`."""
+    """The indices of the moving shapes that stand outside of groups; args as for `Outlines.of`."""
     instances = scene.triangles.casting_instances
     last = sum(counts) if instances is None else instances.first_triangle[0]
     starts = accumulate(counts[:-1], initial=0)
@@ -353,7 +353,7 @@ def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> 
 
 
 def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group: int) -> tuple[tuple[int, ...], bool, bool]:
-    """The numbers of a group's shapes, whether one of these moves, and whether one of its instances does."""
+    """The indices of a group's shapes, whether one of these shapes moves, and whether an instance of the group moves."""
     first, last = instances.first_triangle[group:group + 2]
     members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
     shows = slice(*instances.first_instance[group:group + 2])
@@ -374,7 +374,7 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
 
 
 def outlines_of(scene: Scene) -> Outlines:
-    """The `Outlines` of a scene, shared by all that render it."""
+    """The object that finds and caches the edges of a scene's meshes, shared by all that render the scene."""
     return KNOWN.setdefault(scene, Outlines())
 
 

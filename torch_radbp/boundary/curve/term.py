@@ -92,7 +92,7 @@ class LineNumbers(NamedTuple):
 
 
 def line_numbers(lines: list[JumpLines], device: torch.device) -> LineNumbers:
-    """The `LineNumbers` of some lines."""
+    """The coefficients x, y and z of lines x u + y v + z = integer as tensors, (R,) float64, attached."""
     x, y = (torch.tensor(column, dtype=torch.float64, device=device) for column in list(zip(*lines))[:2])
     return LineNumbers(x, y, offsets(lines, device))
 

@@ -107,7 +107,7 @@ class MotionFunction(torch.autograd.Function):
 
 
 def attached_geometry(scene: SceneTensors) -> Geometry:
-    """The `Geometry` of an attached scene, in which gradients of many reads are summed."""
+    """The triangles of an attached scene, in tables of which autograd sums the gradients of many look-ups in float64."""
     geometry = geometry_of(scene)
     return geometry if has_tangents(geometry) else summed(geometry)
 

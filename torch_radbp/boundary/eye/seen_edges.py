@@ -275,7 +275,7 @@ class Course(NamedTuple):
 
 
 def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
-    """The `Course` of borders, from a function that gives their points.
+    """The positions and normals of borders at samples, and the areas that they sweep, from a function of their points.
 
     Args:
         seen: returns positions for args `step` and `off`, as of `border.border`.

@@ -75,7 +75,9 @@ KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
-    """The `Surfaces` of a call's scene; smooth parts are cached while the same edges are smooth, even if vertices move.
+    """The triangles, smooth parts and texture lines of a call's scene, for searches.
+
+    Smooth parts are cached while the same edges are smooth, even if vertices move.
 
     Args:
         call: detached.

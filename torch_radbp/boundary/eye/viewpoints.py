@@ -281,7 +281,7 @@ def flown(step: Step) -> tuple[Flight | None, Hit | None]:
 
 
 def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
-    """(N,) bool: hits on triangles of plain materials, over which points may slide; see `vertex.nearby`."""
+    """(N,) bool: hits on triangles where light jumps at borders of shadows alone, so that points near a vertex may slide."""
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
@@ -296,7 +296,8 @@ def scatters_as(integrand: Integrand, event: Event, following: bool) -> bool:
 
 
 def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
-    """The viewpoints at positions `at`, (M,) world, as `Eyes` that prefer the BSDF's directions and those of `lobes`."""
+    """The path vertices at positions `at`, (M,) world, as viewpoints that see more edges in the directions of their BSDFs
+    and of `lobes`."""
     one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
     normal = masked(~points.in_medium, unit_normal(corners[1] - corners[0], corners[2] - corners[0]))
     return Eyes(at, one, normal, one, torch.where(points.in_medium, 1.0, EVEN * one), (points.lobe, *lobes))

@@ -193,7 +193,7 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
-    """Thins the samples of one round of paths to about `most`, reweighted to stand for all; see `eye/thinning.py`.
+    """Thins the samples of one round of paths at random to about `most`, reweighted so that they stand for all.
 
     Args:
         key: of random numbers.

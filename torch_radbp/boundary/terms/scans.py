@@ -171,8 +171,18 @@ def looks_of_corners(looks: LightLooks | None, turns: int, some: range, count: i
 
 
 def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """Traces a path per pixel corner in each of some turns: (R, C) float64 the greatest likelihood of a jump in the pixel,
-    (R + 1, C + 1) bool ideal hits of any. `looks`: of all corners, turn by turn."""
+    """Traces a path from each pixel corner in each of some turns, and compares those of neighbouring corners.
+
+    Args:
+        searched: the view.
+        turns: the numbers of the turns.
+        film: the positions of the corners.
+        looks: the light samples of all corners, turn by turn; None: there are none.
+
+    Returns:
+        (R, C) float64, the greatest likelihood in any turn that the image jumps in the pixel; and (R + 1, C + 1) bool:
+        a path from the corner hits an ideal surface.
+    """
     call, count = searched.call, len(film.x)
     view, device = call.views[searched.number], call.scene.device
     width, height = view.grid.columns + 1, view.grid.rows + 1

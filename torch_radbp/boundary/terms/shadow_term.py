@@ -64,7 +64,7 @@ class CutOff(NamedTuple):
 
 
 def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff | None:
-    """The `CutOff` of those samples at which there is any light; None: there are none.
+    """Samples on borders of light, without those at which there is none; None: all are.
 
     Args:
         place, samples: as of `CutOff`.

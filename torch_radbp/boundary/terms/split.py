@@ -80,7 +80,7 @@ def squares(amounts: Tensor) -> float:
 
 
 def effort(first: float, tried: SampledIntegral | None) -> float:
-    """The share of an integral's samples that pays off.
+    """The share of the greatest number of samples that an integral is given: more if it is noisy beside the first one.
 
     Args:
         first: the variance of the first integral, with all of its samples.

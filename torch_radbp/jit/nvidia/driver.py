@@ -46,7 +46,7 @@ class Graph:
 
 
 class Driver:
-    """CUDA's driver for one device; see `gpu.Launcher`.
+    """CUDA's driver for one device, which loads and launches kernels and graphs of them.
 
     Args:
         driver: the module `cuda.bindings.driver`.

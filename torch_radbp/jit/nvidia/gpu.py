@@ -105,7 +105,7 @@ class KernelLoop:
 
 
 class Gpu(AnyDevice):
-    """An NVIDIA GPU as a target; see `target.Target`.
+    """An NVIDIA GPU as a target: functions of lanes are compiled for it, and lanes moved about on it.
 
     Args:
         launcher: of the device.

@@ -274,5 +274,5 @@ def is_library(module: str) -> bool:
 
 
 def in_library(thing: Any) -> bool:
-    """True if a function or class belongs to such a library."""
+    """True if a function or class belongs to a library whose version stands for its contents."""
     return is_library(getattr(thing, "__module__", None) or "builtins")

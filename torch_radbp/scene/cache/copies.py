@@ -70,7 +70,7 @@ class Copies:
         return asks_for_derivatives(getattr(owner, name, None)) if known is None else known
 
     def inventory(self, root: nn.Module) -> Inventory:
-        """The `Inventory` of a module; that of the last rendering if it still holds."""
+        """The lists of all tensors and modules within a module; the object of the last rendering if they still hold."""
         inventory = self.inventories.get(id(root))
         if inventory is None:
             last = self.last_inventories.get(id(root))

@@ -125,7 +125,7 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
 
 def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
                    device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
-    """Builds the `TriangleTable` of all shapes, in order."""
+    """Builds the table of the triangles of all shapes, in order, with the vertex table in it."""
     counts = tuple(len(shape.faces) for shape in shapes)
     surfaces = tuple(shape.surface for shape in shapes)
     vertices = cache(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
@@ -153,7 +153,7 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
                     numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
-    """Builds the `InstanceTable` of a scene, attached to the instances' poses; None if it has none.
+    """Builds the table of a scene's instances, attached to their poses; None if it has no instances.
 
     Args:
         cache: what is known from the last rendering.

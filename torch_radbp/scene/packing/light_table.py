@@ -41,7 +41,7 @@ class Emission(NamedTuple):
 
 def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
                 layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
-    """Builds the `LightTable`, the elements from which next-event estimation selects.
+    """Builds the table of light elements, from which next-event estimation selects, and the distribution of these.
 
     Args:
         cache: what is known from the last rendering.

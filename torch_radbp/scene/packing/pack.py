@@ -126,7 +126,7 @@ def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]
 
 def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiances: Radiances,
               placed: tuple[PlacedShape, ...]) -> Layout:
-    """The `Layout` of a scene: the features that it uses."""
+    """The static layout of a scene: the features that it uses, for which code is compiled."""
     named = {name for reader in (*materials.readers, radiances.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
     attributes_move = any_attribute_differentiated(objects.scene, attributes)
@@ -218,7 +218,7 @@ def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], 
 
 
 def boundary_table(cache: PackCache, objects: Objects) -> BoundaryTable:
-    """The `BoundaryTable` of the scene: the kinds of boundaries between media."""
+    """The table of the scene's kinds of boundaries between media."""
     columns = zip(*boundaries_of(objects)[0])
     return BoundaryTable(*(torch.tensor(column, dtype=dtype, device=objects.device)
                            for column, dtype in zip(columns, (torch.int32, torch.int32, torch.bool))))

@@ -65,7 +65,7 @@ def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) 
 
 
 def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
-    """The `Layout` of a part of a scene: the features that its appearance needs."""
+    """The static layout of the part of a scene that one appearance reads: the features that it needs."""
     return replace(layout, bending=False, bends_ideally=False, appearances=(), scatterer=scatterer,
                    readers=readers_of(looks_of_part(layout, scatterer)), attributes=attributes_of_part(layout, scatterer),
                    still=())
