@@ -198,7 +198,7 @@ class Tape:
             return None
 
     def record_link(self, step: Step, arguments: tuple, blank: Callable) -> Link | None:
-        """Records a step for `link`."""
+        """Records a step whose results the next recorded step reads, for `link`."""
         reserve = Reserve()
         try:
             listener, given, played = self.listened(step, blank(arguments, reserve), reserve)

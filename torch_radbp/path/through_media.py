@@ -38,7 +38,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
 def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Hit, Flight | None]:
-    """Follows paths through media: the surfaces hit, and how far paths come before they scatter; None: see `Arrival`.
+    """Follows paths through media: the surfaces hit, and how far paths come before they scatter, None without media.
 
     Args:
         integrand: the scene.

@@ -136,7 +136,7 @@ def least_records(dtype: torch.dtype) -> RecordSizes:
 
 
 class Workload(NamedTuple):
-    """The work of a call, independent of its plan."""
+    """The work of a call, by which its memory is predicted for any chunk size and strategy of the backward pass."""
 
     fractions: list[float]  # of camera paths that reach each depth
     lanes: int  # of the whole call: sensors x pixels x samples

@@ -75,7 +75,7 @@ FILM_TERMS: list[FilmTerm] = []
 
 
 def film_term(term: Term) -> Term:
-    """Registers a film term; a class decorator."""
+    """Class decorator that registers a kind of curve of the film, so that its discontinuities are differentiated."""
     FILM_TERMS.append(term())
     FILM_TERMS.sort(key=lambda other: other.rank)
     return term

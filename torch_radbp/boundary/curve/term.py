@@ -52,7 +52,7 @@ TERMS: list[LinesTerm] = []  # in the order in which they are asked
 
 
 def boundary_term(term: Term) -> Term:
-    """Registers a lines term; a class decorator."""
+    """Class decorator that registers a kind of lines on surfaces, so that discontinuities there are differentiated."""
     TERMS.append(term())
     return term
 

@@ -170,7 +170,7 @@ def matter(found: CutsOfView) -> Tensor:
 
 
 def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """Selects samples by index; all viewpoints are kept."""
+    """Selects samples of edges that occlude light by index; the viewpoints of all are kept."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
 

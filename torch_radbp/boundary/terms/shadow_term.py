@@ -136,7 +136,7 @@ SHADOW_TERMS: list[type[ShadowTerm]] = []
 
 
 def shadow_term(term: Term) -> Term:
-    """Registers a shadow term; a class decorator."""
+    """Class decorator that registers a boundary term of shadows, so that derivatives include it."""
     SHADOW_TERMS.append(term)
     SHADOW_TERMS.sort(key=lambda other: other.rank)
     return term

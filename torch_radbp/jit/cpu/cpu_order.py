@@ -187,7 +187,7 @@ code = made_once(_Code)
 
 @made_once
 def putting(size: int) -> MachineCode:
-    """The compiled loop that scatters entries of a size."""
+    """The compiled loop that scatters entries of so many bytes to given places."""
     return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + PUT.format(scalar=f"i{8 * size}"))
 
 

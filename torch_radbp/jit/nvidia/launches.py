@@ -165,7 +165,7 @@ class Launches:
         return Word(BLOCKS.index("counts"), 8 * number)
 
     def part(self, outside: Outside | None) -> None:
-        """Ends a part of the launches, behind which something is done outside."""
+        """Ends a part of the launches, after which the host does work `outside` of kernels; None: the last part."""
         known = sum(len(part.launches) for part in self.parts)
         words = slice(self.parts[-1].words.stop if self.parts else 0, len(self.words))
         launches = self.sequence[known:]
@@ -173,7 +173,7 @@ class Launches:
         self.parts.append(Part(launches, words, outside, casts, Graphs()))
 
     def place(self, place: MemoryPlace) -> Word:
-        """The word of memory that holds the address of a tensor when kernels are launched."""
+        """The address of a tensor as a kernel's argument: a block of memory, known when kernels start, and a distance."""
         if not place.made:
             return Word(self.of.first_given + place.tensor, 0)
         layout = self.of.layout

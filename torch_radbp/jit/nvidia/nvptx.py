@@ -113,8 +113,8 @@ def features(architecture: str) -> str:
 def ptx(text: str, architecture: str) -> str:
     """Compiles LLVM IR to PTX.
 
-    What lanes are computed by has no repetitions, and NVIDIA's assembler optimises it again: all of LLVM's passes would take
-    half as long again, for as many registers. They are for what is more than one function.
+    Programs have no loops, and NVIDIA's assembler optimises the PTX again: with all of LLVM's passes compiling would take
+    half as long again, and kernels as many registers. These passes are for modules of more than one function.
 
     Args:
         text: LLVM's, from `kernel`.
