@@ -135,6 +135,6 @@ class Embree:
 
 @made_once
 def code_of_packets(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
-    """Compiles a loop of `queries` for Embree's packets of rays."""
+    """Compiles the closest-hit or the occlusion loop over lanes, with calls of Embree for packets of rays."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
     return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

@@ -73,7 +73,10 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """`path_difference`, computed vertex by vertex; `depths`: the numbers of the vertices as tensors."""
+    """The first vertex at which the two paths of each pair differ, and in what, found vertex by vertex.
+
+    Args as for `path_difference`; `depths`: the numbers of the vertices as tensors.
+    """
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
