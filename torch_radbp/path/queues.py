@@ -21,7 +21,7 @@ from torch_radbp.vertex.interaction import is_in_front
 
 
 class Queue(NamedTuple):
-    """A range of `Step.order` whose lanes have the same event, and so run the same functions."""
+    """Lanes with the same event, which run the same functions: a range of the order into which a step has put lanes."""
 
     event: Event  # what happens to them
     first: int | LaneCount

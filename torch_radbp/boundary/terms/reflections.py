@@ -144,7 +144,7 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, r
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:
-    """(K,) float64 zeros, attached: the change of curves' level functions at fixed points of the film; args as of
+    """(K,) float64 zeros whose derivatives are those of the curves' level functions at fixed points of the film; args as of
     `_jumps_in_view`; `lines`: of surfaces, attached."""
     crossed, curves, follows, _ = found
     view, draw = call.views[searched.number], draw_of(crossed)

@@ -174,7 +174,7 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
 
 
 def _instance_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
-    """The column `InstanceTable.number` of instances with these AOV numbers."""
+    """The AOV numbers of instances as a column of the table of instances, whose row 0 is the scene itself."""
     return torch.tensor((0, *numbers), dtype=torch.int32, device=device)
 
 
