@@ -71,7 +71,7 @@ def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
 
 
 def surviving(step: Step) -> Tensor:
-    """Indices into `Step.order` of the lanes that go on, int32; these are also rows of the `Vertex`."""
+    """The places of the lanes that go on, int32, in the order into which the step has put lanes, as its vertices are."""
     return chosen(step.survives)
 
 

@@ -103,7 +103,7 @@ class DirectCaster:
         return [*self.tables(dtype, batches.closest_hit_of_batches), *self.tables(dtype, batches.any_hit_of_batches)]
 
     def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:
-        """The tables of the mesh that a loop of `batches` reads, for rays of a dtype."""
+        """The tables of the mesh that the closest-hit or the occlusion loop reads, for rays of a dtype."""
         if (dtype, loop) not in self._meshes:
             p = self.vertices.to(dtype)[self._others.long()]
             faces = self._faces._replace(points=self._faces.points.to(dtype))

@@ -107,7 +107,7 @@ def height(plane: wp.vec4, p: wp.vec3) -> float:
 
 @wp.func
 def rise(plane: wp.vec4, d: wp.vec3) -> float:
-    """The change of `height` along a direction."""
+    """The change, along a direction, of the height above a plane, or of the coordinate, that `height` gives."""
     return plane[0] * d[0] + plane[1] * d[1] + plane[2] * d[2]
 
 

@@ -156,7 +156,7 @@ def checked_seed(name: str, value: int) -> int:
 
 
 def checked_seeds(seed: int | None, seed_grad: int | None, share_samples: bool) -> tuple[int, int]:
-    """Checks the seeds of an image and of its derivative; None as in `Renderer.forward`.
+    """Checks the seeds of an image and of its derivative, and picks those that are None.
 
     Raises:
         ValueError: as `checked_seed`.

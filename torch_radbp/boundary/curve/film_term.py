@@ -83,7 +83,7 @@ def film_term(term: Term) -> Term:
 
 def lines_in_view(viewed: ExaminedView, lines: Outline | Segments | None, weigh: Callable,
                   place: Callable) -> list[CurvesInView]:
-    """The visible ones of straight curves, as at most one `CurvesInView`.
+    """The total length in view of straight curves, with a function that samples them; none if none is visible.
 
     Args:
         viewed: the view.

@@ -161,7 +161,7 @@ class Outlines:
         return [found[three] for three in wanted]
 
     def sliding(self, rendering: Rendering, seed: int) -> tuple[Segments | None, LineNumbers | None]:
-        """The segments of texture lines that move over surfaces, and the lines' `LineNumbers`; args as for `of_views`."""
+        """The segments of texture lines that move over surfaces, and the lines' coefficients; args as for `of_views`."""
         names, lines = names_sliding(rendering), lines_on_shapes(rendering)
         numbers = numbers_of(lines, rendering.call) if any(names) else None
         if numbers is None:

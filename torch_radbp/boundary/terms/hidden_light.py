@@ -297,7 +297,7 @@ def on_no_surface(outline: Outline, edge: Tensor) -> Tensor:
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
                  counted: Straight, free: Tensor) -> Tensor:
-    """(3, N) float64 light beyond edges that reaches the view, per unit of `cut_at`'s coordinates.
+    """(3, N) float64 light beyond edges that reaches the view, per unit of the coordinates in which borders move (`cut_at`).
 
     Args:
         points, at: the viewpoints, and their positions.

@@ -166,7 +166,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The compiled functions of `_text`, by bytes of an entry."""
+    """The compiled functions that count, partition and select lanes, by bytes of an entry."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text(), entry="choose")

@@ -288,7 +288,7 @@ class Recording:
 
     def outside(self, work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
                 results: Sequence[int]) -> list[list[Tensor]]:
-        """Records work outside of machine code; see the function `outside`."""
+        """Records work outside of machine code, such as a neural network; args as of the function `outside`."""
         if self.repeating:
             raise NotRecordable("what is done outside cannot be repeated")
         known = [number for number, own in enumerate(self.contexts) if own is context]
