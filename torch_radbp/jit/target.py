@@ -104,13 +104,13 @@ class Target(Protocol):
         """Scatters entries, at least 1 each, all contiguous; see `order.put`."""
 
     def copies(self, entries: int) -> int:
-        """The best number of copies of a table's sums; see `scatter.copies`."""
+        """The best number of copies in which a table of gradients is summed; see `scatter.copies`."""
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """Scatter-adds numbers of at least 1 lane, all contiguous; see `scatter.scatter_add`."""
 
     def add_patches(self, patches: Patches, totals: Tensor) -> None:
-        """Adds patches of at least 1 lane, all contiguous; see `patches.add_patches`."""
+        """Adds values of at least 1 lane to rectangles of pixels, all contiguous; see `patches.add_patches`."""
 
 
 @functools.cache
