@@ -33,7 +33,7 @@ NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING: other streams may be used while this
 
 
 class Graph:
-    """An executable graph of the driver, which frees it with this; a launch that has begun ends before.
+    """A CUDA graph, ready to be launched; the driver frees it with this object, once launches that have begun are done.
 
     Args:
         driver: the module.
