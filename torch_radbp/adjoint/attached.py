@@ -27,7 +27,10 @@ from torch_radbp.threads.team import loops_together
 
 
 def trace_attached(integrand: Integrand, state: PathState, visit: Visit | None = None) -> Vec3:
-    """The radiance L_1 of `trace` with all derivatives: recorded by autograd, or in forward mode as dual tensors."""
+    """The radiance L_1 along rays with all derivatives: recorded by autograd, or in forward mode as dual tensors.
+
+    Args as of `trace`.
+    """
     return trace(integrand, state, visit, bounce=bounce_attached(integrand))
 
 
@@ -104,7 +107,7 @@ def arguments_of(integrand: Integrand, state: PathState, depth: int, step: Step,
 
 
 def room_for_paths(integrand: Integrand, state: PathState, lanes: int) -> tuple[Vec3, PathState, Vec2 | None]:
-    """Uninitialised results of `attached_vertices` in forward mode, to be written into."""
+    """Uninitialised E_k, path states and film positions of a bounce, dual tensors, for `attached_vertices` to write into."""
     from_lamps = integrand.proposal.layout.from_lamps
     values, tangents = (room_for_vertices(state, lanes, True, False, from_lamps) for _ in range(2))
     film = dual(values.film, tangents.film) if from_lamps else None
@@ -138,7 +141,7 @@ def rays_reaching(integrand: Integrand, start: PathState, depth: Tensor) -> Ray:
 
 
 def _spread(hit: Hit | None, alive: Tensor, lanes: int) -> Hit | None:
-    """Hits of the lanes `alive`, scattered to all lanes, (N,); undefined in the others."""
+    """The hits of the lanes `alive`, (M,) int32, put at these places among all N lanes; undefined elsewhere."""
     if hit is None:
         return None
     whole = Hit(*[None if part is None else part.new_empty(lanes) for part in hit])

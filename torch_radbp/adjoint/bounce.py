@@ -185,6 +185,6 @@ def as_leaf(tensor: Tensor) -> Tensor:
 
 
 def read_again(positions: Vec3, corners: tuple[Tensor, Tensor, Tensor], adj_corners: Corners) -> Corners:
-    """The vertices `corners` of triangles from recorded positions, with what the bounce below adds to their adjoints."""
+    """Reads the corners of triangles once more, with the adjoints that the bounce below has found for them."""
     return tuple(Vec3(*(tap.read(row, found) for tap, found in zip(positions, adj_p)))
                  for row, adj_p in zip(corners, adj_corners))

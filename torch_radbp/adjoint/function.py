@@ -207,7 +207,7 @@ def asks_for_gradient(record) -> list[bool]:
 
 
 def wanted_of(ctx, sources: tuple[Tensor, ...]) -> list[Tensor]:
-    """The leaves of the forward pass that require a gradient."""
+    """The tensors of scene and source, inputs of the `autograd.Function`, of which autograd wants a gradient."""
     return [source for source, need in zip(sources, ctx.needs_input_grad[1:]) if need]
 
 

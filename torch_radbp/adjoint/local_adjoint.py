@@ -34,7 +34,7 @@ from torch_radbp.vertex.interaction import corner_rows
 
 
 class Differentiated(NamedTuple):
-    """What is needed to differentiate the lanes of one event."""
+    """The part of the scene, its leaves and the compiled stage by which the lanes of one event are differentiated."""
 
     part: DifferentiatedPart
     leaves: list[int]  # the numbers of the leaves that are differentiated
@@ -54,7 +54,7 @@ class LocalAdjoint(NamedTuple):
     seen_first: tuple[Sequence[int], Integrand] | None
 
     def vector_jacobian_product(self) -> tuple[Memo, list[list[TableAdjoint]], tuple[Vec3, ...]]:
-        """The memo for the bounce above, and the adjoints of table reads and texture values; see `bounce_adjoint`."""
+        """Differentiates the lanes: the memo for the bounce above, and the adjoints of table reads and texture values."""
         return self.of_event.stage(self.of_event.part, *self.arguments)
 
     def contributions(self, above: Memo, adj_reads: list[list[TableAdjoint]]) -> list[Contribution]:
@@ -85,7 +85,7 @@ class LocalAdjoints:
         self.of_positions = list(positions) if twice else []  # leaves
 
     def of_event(self, event: Event) -> Differentiated:
-        """What is needed to differentiate lanes with an event; cached."""
+        """The part of the scene, its leaves and the stage by which lanes with an event are differentiated; cached."""
         if event not in self.of_events:
             layout = self.integrand.scene.layout
             leaves = leaves_of_part(self.numbered, layout, self.integrand.scatterer(event))

@@ -47,7 +47,7 @@ def verdict_of(step: Step) -> Verdict:
 
 
 class BothCorners(NamedTuple):
-    """The vertex positions of the triangles to which two bounces contribute derivatives."""
+    """The corners of the triangles that a ray and the next one meet, to which two bounces contribute derivatives."""
 
     here: Corners  # of the triangle that the ray meets
     there: Corners | None  # of that which the next ray meets; None: as the scene has them

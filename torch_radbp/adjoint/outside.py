@@ -32,7 +32,7 @@ class ModuleAdjoint(NamedTuple):
     last: int | LaneCount | None = None
 
     def without_unused_rows(self) -> ModuleAdjoint:
-        """These adjoints with module index -1 in lanes beyond those that count."""
+        """The same adjoints, with a module index of -1 in lanes beyond those that count, so that no module runs there."""
         if not isinstance(self.last, LaneCount):
             return self
         place = torch.arange(len(self.row), device=self.row.device)

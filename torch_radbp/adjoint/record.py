@@ -83,8 +83,11 @@ def trace_both(call: RenderCall, integrand: Integrand, wavefront: Wavefront) -> 
 
 def traced_apart(call: RenderCall, integrand: Integrand, wavefront: Wavefront,
                  recorder: Recorder) -> tuple[CameraSample, CameraSample, Hit | None, Vec3]:
-    """Traces the image's samples and the derivative's paths in two threads; results as of `traced_as_one`, but hits only if
-    AOVs need them."""
+    """Traces the image's samples and the derivative's paths in two threads.
+
+    Returns:
+        The first rays of both; the image's first hits, None unless AOVs need them; and the image's radiance.
+    """
     seen_first = Recorder(call.adjoint, integrand.bounces, keeping=False)
 
     def image() -> tuple[CameraSample, Vec3]:

@@ -167,7 +167,7 @@ def queue_borders(queues: Mapping[Any, Queue], kinds: Sequence[Any]) -> list[int
 
 
 def in_queues(step: Step, queues: Sequence[Queue], reserve: Reserve) -> Step:
-    """A step of given queues with tensors that have shapes but no contents."""
+    """The decisions of a bounce with given queues, as tensors without contents, for recording."""
     hit, front, picked, flight = without_contents((step.hit, step.front, step.picked, step.flight), reserve)
     scattered = [0, *(queue.last for queue in queues if queue.event.scatters)][-1]
     values = tuple([without_contents(values, reserve, queue.last - queue.first)

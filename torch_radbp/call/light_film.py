@@ -131,7 +131,7 @@ class Deposits:
 
 @stage()
 def brings(value: Vec3) -> Tensor:
-    """(N,) bool: contributions that are not 0."""
+    """(N,) bool: colours that are not 0, such as what vertices of paths bring to the film."""
     return (value.x != 0) | (value.y != 0) | (value.z != 0)
 
 

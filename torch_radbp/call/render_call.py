@@ -65,7 +65,8 @@ class RenderCall(NamedTuple):
         return self._replace(scene=self.still_scene, source=self.source.still())
 
     def facts(self) -> Facts:
-        """All that the call's images and the places of their discontinuities depend on, without derivatives; see `once`."""
+        """All that the call's images and the places of their discontinuities depend on, without derivatives, as a key under
+        which other renderings find work that they have in common."""
         still, integrand = self.still(), self.integrand
         return Facts.of((still.scene, still.views, integrand.settings, integrand.max_depth, integrand.rr_depth, self.spp,
                          self.shares_samples, self.shared, self.following))
@@ -95,7 +96,7 @@ class RenderCall(NamedTuple):
         return detached(self.scene) if self.integrand is None else self.integrand.scene
 
     def of_derivative(self) -> RenderCall:
-        """The call that renders the image from the samples of the derivative."""
+        """The call that renders the image from the samples by which its derivative is estimated."""
         make = self.make_integrand if self.shares_samples else lambda scene: self.make_integrand(scene).for_derivatives()
         return self._replace(source=self.source.of_derivative(), make_integrand=make)
 
@@ -114,7 +115,7 @@ def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState
 
 
 def camera_samples(call: RenderCall, wavefront: Wavefront, which: int) -> CameraSample:
-    """The first rays of a wavefront's lanes; see `PathSource.samples`. `which` as for `start_paths`."""
+    """The first rays of a wavefront's lanes, with the keys of their random numbers; `which` as for `start_paths`."""
     return joined(samples_of_chunks(call, wavefront, which))
 
 
@@ -124,7 +125,7 @@ def samples_of_chunks(call: RenderCall, wavefront: Wavefront, which: int) -> lis
 
 
 def pilot_paths(call: RenderCall, lanes: int) -> PathState:
-    """The initial states of paths from all over the source, such as the first sensor's image, for measurements."""
+    """The initial states of a few paths from all over the source, as the first image, by which memory is predicted."""
     return started(call, call.source.pilots(lanes, call.stages, call.scene.layout.traces_cones))
 
 

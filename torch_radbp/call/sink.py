@@ -35,7 +35,7 @@ class Sink(ABC, Generic[Call]):
     at_vertices: ClassVar[bool] = False  # paths, from lamps, bring something at each vertex: see `deposits`
 
     def deposits(self, call: Call) -> Any:
-        """An accumulator of what vertices of paths from lamps contribute, with methods `add` and `total`."""
+        """An object that sums what the vertices of paths from lamps contribute, with methods `add` and `total`."""
         raise TypeError(f"to a {type(self).__name__} paths bring their radiance")
 
     def backward_integrand(self, integrand: Integrand, adj_sums: Any) -> Integrand:
@@ -43,7 +43,8 @@ class Sink(ABC, Generic[Call]):
         return integrand
 
     def asked_everywhere(self, call: Call, integrand: Integrand) -> Integrand:
-        """The `backward_integrand` for a derivative of the loss of 1 everywhere, for predictions of memory."""
+        """The integrand that the backward pass would differentiate if the derivative of the loss were 1 everywhere, for
+        predictions of memory."""
         return integrand
 
     @abstractmethod

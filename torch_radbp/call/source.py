@@ -57,7 +57,8 @@ class PathSource(ABC):
         """The source whose image has the random numbers of the derivative."""
 
     def glued(self, chunk: LaneBlock, which: int, scene: SceneTensors, hit: Hit) -> CameraSample:
-        """First rays as of `samples`, but following what they hit, if their kind does, and attached to that; eager.
+        """The first rays of a chunk's paths, which follow the points that they hit, and are attached to these, if the source
+        has such rays; others are as of `samples`. In plain torch.
 
         Args:
             scene: the scene, attached.
@@ -71,7 +72,8 @@ class PathSource(ABC):
         return 1
 
     def pilots(self, lanes: int, stages: Stages, cones: bool) -> CameraSample:
-        """Some first rays from all over the source, (lanes,), for predictions of memory; args as of `samples`."""
+        """The first rays of a few paths from all over the source, (lanes,), by which memory is predicted; args as of
+        `samples`."""
         raise TypeError(f"the memory of paths from {type(self).__name__} is not predicted")
 
     def leaves_read(self, chunk: LaneBlock) -> range:

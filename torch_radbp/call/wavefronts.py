@@ -24,7 +24,7 @@ class Wavefront(NamedTuple):
 
     @property
     def group(self) -> int:
-        """The group of its chunks, see `LaneBlock.group`."""
+        """The number of the group to which all of its chunks belong; groups are traced one after the other."""
         return self.chunks[0].group
 
     def parts(self) -> Iterator[tuple[LaneBlock, int, int]]:

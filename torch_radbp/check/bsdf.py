@@ -92,7 +92,7 @@ def subject_of(bsdf: BSDF) -> Subject:
 
 
 def statements(subject: Subject, seed: int) -> Finding:
-    """The finding on a kind's declared properties: `transmits`, `oriented` and `steering`."""
+    """Tests what a kind of BSDF says of itself, `transmits`, `oriented` and `steering`, by evaluating and sampling it."""
     kind, wi, wo, random = subject.kind, directions(PAIRS, seed), directions(PAIRS, seed + 1), random_numbers(PAIRS, seed)
     values = tuple(differentiable_copy(value) for value in subject.values(wi.z))
     wrong = []

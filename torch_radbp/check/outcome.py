@@ -170,7 +170,7 @@ def largest_error(by: Comparison, of: Comparison) -> float:
 
 
 def off_projections(comparison: Comparison) -> list[Projection]:
-    """The projections whose error exceeds chance and the finite step."""
+    """The projections of the derivative image whose error exceeds what chance and the finite step explain."""
     return [p for p in comparison.projections if abs(p.z) > MOST_Z and abs(p.relative_error) > STEP_ERROR]
 
 

@@ -113,7 +113,7 @@ class Comparison(NamedTuple):
 
 
 class Mean(NamedTuple):
-    """The mean of jvp - difference, and its standard error."""
+    """The mean error of derivatives, forward mode (jvp) less finite difference, and its standard error."""
 
     error: Tensor
     standard_error: Tensor

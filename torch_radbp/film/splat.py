@@ -154,7 +154,8 @@ def sums_of(stage: Stage, kernel: Kernel, values: tuple[Tensor, ...], block: Blo
 
 
 def _parts_of(stage: Stage, block: Block) -> tuple[Tensor, Tensor, int]:
-    """Splits a block's samples into parts: `first` and `left`, (P, parts of a pixel), and `count`, of `deposited`."""
+    """Splits each pixel's samples of a block into parts: `first` and `left`, (P, parts of a pixel), and `count`, by which
+    `deposited` takes the samples of a part."""
     (place, samples, spp), count = block, 1
     # The same for all samples of a pixel: a compiled sum of products rounds otherwise if there are more of them.
     while stage.is_compiled and count < min(spp, TOGETHER):
@@ -203,7 +204,7 @@ def gathered_from_sums(kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tens
 
 
 class Deposited(torch.autograd.Function):
-    """`offset_sums` without the sums of filter weights; linear in the values, and `Gathered` is its transpose."""
+    """A pixel's sums of filter-weighted values for each offset, linear in the values; `Gathered` is the transpose."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, *values: Tensor) -> Tensor:
@@ -222,7 +223,7 @@ class Deposited(torch.autograd.Function):
 
 
 class Gathered(torch.autograd.Function):
-    """`gathered_from_sums` with derivatives: linear in the sums, and `Deposited` is its transpose."""
+    """The adjoints of samples' values from those of the sums for each offset, linear in these; transpose of `Deposited`."""
 
     @staticmethod
     def forward(ctx, kernel: Kernel, block: Block, sums: Tensor) -> tuple[Tensor, ...]:

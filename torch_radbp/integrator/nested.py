@@ -37,7 +37,7 @@ class Nesting(IntegratorSettings):
         self.hide_emitters = self.inner[0].hide_emitters
 
     def nested_outputs(self) -> dict[str, str]:
-        """The AOVs of the nested integrator, their names prefixed by its own."""
+        """The AOVs of all nested integrators, with the name of the integrator before that of the AOV."""
         return {f"{name}.{output}": quantity for name, integrator in self.integrators.items()
                 for output, quantity in integrator.outputs().items()}
 

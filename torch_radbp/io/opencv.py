@@ -136,7 +136,7 @@ def intrinsics_of(K: Any, width: int, height: int, distortion: Sequence[float], 
 
 
 def pose_of(R: Any, t: Any) -> np.ndarray:
-    """(4, 4) float64 `to_world` from a camera's rotation and translation, world to camera; raises as above."""
+    """(4, 4) float64 `to_world` from a camera's rotation and translation, world to camera; ValueError if these are none."""
     rotation, translation = array("R", R, (3, 3)), array("t", t, None)
     if translation.shape not in ((3,), (3, 1)):
         raise ValueError(f"t must have shape (3,) or (3, 1), got {translation.shape}")

@@ -167,7 +167,7 @@ class PreparedArgument:
                 raise unequal(parameter, self.lanes, self.sizes[place])
 
     def checked_device(self, parameter: Parameter) -> torch.device | None:
-        """The device of the tensors, None if there are none; raises the errors about single tensors."""
+        """The device of the tensors, None if there are none; raises if they lie on several, or one would need a gradient."""
         if torch.is_grad_enabled() and any([leaf.requires_grad for leaf in self.leaves]):
             raise RuntimeError(f"{parameter.function} is compiled and records no derivative: call it under "
                                "torch.no_grad(), or with detached tensors")
@@ -276,10 +276,10 @@ class Arguments:
 
     @property
     def firsts(self) -> list[int]:
-        """For each tensor the index of the first one that is the same."""
+        """For each tensor the index of the first tensor of the call that is the same one."""
         return [dict(self.shared).get(place, place) for place in range(len(self.leaves))]
 
     @property
     def key(self) -> tuple:
-        """A key that is equal for arguments that one compiled function serves."""
+        """A hashable key of the arguments' structure and device: where it is equal, the same compiled code serves."""
         return (*[form.number for form in self.forms], *self.shared, self.device)

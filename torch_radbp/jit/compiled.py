@@ -64,7 +64,7 @@ class Compiled:
                                    [given.sizes[place] for place in self.inputs], outputs)
 
     def takes(self, lanes: int) -> bool:
-        """Counts lanes that code outside takes; False if the code there is the best that there will be."""
+        """Counts lanes over which recorded code runs this loop; False if no better machine code will be made of it."""
         return self.loop is not None and self.loop.result().takes(lanes)
 
     def load(self) -> None:
@@ -74,7 +74,7 @@ class Compiled:
 
     @property
     def address(self) -> int:
-        """The address of the loop's body, once loaded; see `team.LaneLoop`."""
+        """The address of the machine code, a C function that takes parts of a `team.Job`; waits until it is loaded."""
         address = getattr(self.loop.result(), "address", None)
         if address is None:
             raise NotRecordable("a loop is for another device")
@@ -92,7 +92,7 @@ class Compiled:
 
 
 def code_name(function: Callable, tables: tuple[str, ...], given: Arguments, target: Target) -> str | None:
-    """The cache name of a function's code: a digest of all that it depends on; None if that is unknown.
+    """The name of a function's compiled code in the cache on disk: a digest of all that it depends on; None if unknown.
 
     Args:
         function: in plain torch.

@@ -47,7 +47,8 @@ def dual(values: Any, tangents: Any) -> Any:
 
 
 def with_tangents(function: Callable) -> Callable:
-    """A function of values, each followed by its tangents, that returns values and tangents of the given function."""
+    """A function whose parameters are those of the given one, each followed by its tangents; it returns the given function's
+    values and tangents."""
     names = list(inspect.signature(function).parameters)
     kind = inspect.Parameter.POSITIONAL_ONLY
 
@@ -111,7 +112,7 @@ class DualFunction:
         self.known_parts: DualParts | None = None
 
     def knowing(self, *arguments) -> DualFunction:
-        """Prepares the first arguments for several calls within one dual level, as `LaneFunction.knowing` does."""
+        """A copy of this function that prepares its first arguments once for several calls within one dual level."""
         other = copy(self)
         other.known, other.known_parts = arguments, None
         return other

@@ -15,7 +15,7 @@ from torch_radbp.jit.target import Target, target_of
 
 
 def mover(lanes: Tensor) -> Target | Recording:
-    """What does these operations: the target of the lanes' device, or the recording that listens to this thread."""
+    """The object that moves lanes about: the target of the lanes' device, or the recording that listens to this thread."""
     return recording() or target_of(lanes.device)
 
 

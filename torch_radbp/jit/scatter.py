@@ -21,7 +21,7 @@ __all__ = ["MOST_TABLES", "PAGE_BITS", "Addition", "Sums", "copies", "scatter_ad
 
 
 def copies(entries: int, device: torch.device) -> int:
-    """The best number of copies of a table's sums on a device, to avoid conflicts."""
+    """The best number of copies in which a table of gradients is summed, so that lanes rarely wait for each other."""
     return target_of(device).copies(entries)
 
 

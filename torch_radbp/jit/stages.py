@@ -76,7 +76,7 @@ class CompiledStage:
 
 
 class CompiledStages:
-    """Runs each stage as a compiled loop, compiled at its first call.
+    """A way to run stages, functions over lanes: each as one loop, compiled at its first call.
 
     Args:
         target: for which they are compiled; None: for the device that the tensors of a call lie on.
@@ -104,11 +104,11 @@ class CompiledStages:
 
 @made_once
 def compiled() -> CompiledStages:
-    """The `CompiledStages` that all renderings of this process share."""
+    """The way to run stages as compiled loops that all renderings of this process share."""
     keep_freed_memory()
     return CompiledStages()
 
 
 def as_it_is(argument):
-    """The original of an argument that may be prepared for several calls."""
+    """The records and tensors of an argument, which may have been wrapped with their addresses, for several calls."""
     return argument.argument if isinstance(argument, PreparedArgument) else argument

@@ -50,7 +50,7 @@ Step = Callable[..., Played]  # of the arguments
 
 
 class Taped(NamedTuple):
-    """A recorded step, with what a call returns beside tensors."""
+    """A recorded step, with what playing it returns beside tensors: counts of lanes and constants."""
 
     recorded: Recorded | RecordedLaunches
     counts: tuple[int, ...]  # the numbers of `Played.counts` among those of the recording
@@ -59,7 +59,7 @@ class Taped(NamedTuple):
 
 
 class Link(NamedTuple):
-    """A recorded step that hands its results on to the next one, see `Tape.link`."""
+    """A recorded step whose results are the inputs of the next recorded step, for the same tile of lanes."""
 
     recorded: Recorded
     handed: Handed
@@ -169,11 +169,11 @@ class Tape:
 
     @staticmethod
     def varying(arguments: tuple) -> RecordedInputs:
-        """The tensors of all arguments, in order."""
+        """The tensors of all arguments, tangents included, in order, as the inputs of a recording."""
         return RecordedInputs([tensor for argument in arguments for tensor in tangents_and_tensors(argument)])
 
     def kept(self, key: tuple, arguments: tuple, varying: RecordedInputs, name: Hashable, make: Callable[[], Any]) -> Any:
-        """The cached result of `make` for arguments of this kind; None if it cannot be made."""
+        """The recording that `make` makes, cached for arguments of this structure; None if it cannot be made."""
         if not all(map(Tensor.is_contiguous, varying.items)):
             return None
         kind = self.kinds.get(name)
@@ -198,7 +198,7 @@ class Tape:
             return None
 
     def record_link(self, step: Step, arguments: tuple, blank: Callable) -> Link | None:
-        """Records a step for `link`."""
+        """Records a step whose results the next recorded step reads, for `link`."""
         reserve = Reserve()
         try:
             listener, given, played = self.listened(step, blank(arguments, reserve), reserve)

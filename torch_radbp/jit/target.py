@@ -104,16 +104,16 @@ class Target(Protocol):
         """Scatters entries, at least 1 each, all contiguous; see `order.put`."""
 
     def copies(self, entries: int) -> int:
-        """The best number of copies of a table's sums; see `scatter.copies`."""
+        """The best number of copies in which a table of gradients is summed; see `scatter.copies`."""
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
         """Scatter-adds numbers of at least 1 lane, all contiguous; see `scatter.scatter_add`."""
 
     def add_patches(self, patches: Patches, totals: Tensor) -> None:
-        """Adds patches of at least 1 lane, all contiguous; see `patches.add_patches`."""
+        """Adds values of at least 1 lane to rectangles of pixels, all contiguous; see `patches.add_patches`."""
 
 
 @functools.cache
 def target_of(device: torch.device) -> Target:
-    """The `Target` for functions whose tensors lie on a device."""
+    """The target for functions whose tensors lie on a device: the CPU, a GPU, or one for which nothing is compiled."""
     return Cpu() if device.type == "cpu" else gpu_of(device) if device.type == "cuda" else AnyDevice()

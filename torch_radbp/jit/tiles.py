@@ -194,7 +194,7 @@ class Handed(NamedTuple):
 
 
 class TileStep(NamedTuple):
-    """A recording with its inputs, to be run for a tile."""
+    """A recording with its inputs, to be run for a tile, some consecutive lanes."""
 
     recorded: Recorded
     handed: Handed

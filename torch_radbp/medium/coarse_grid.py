@@ -29,7 +29,7 @@ class CoarseGrid(NamedTuple):
 
 
 def coarse_grid(volume: VolumeFunction) -> CoarseGrid:
-    """Builds the coarse grid of a volume; detached."""
+    """Builds a grid of some larger cells over a volume, with bounds of its values in each; detached."""
     with torch.no_grad():
         bound, least, to_unit = bounds_of(volume)
         size = bound.shape[::-1]

@@ -64,7 +64,8 @@ def sample_camera(camera: Camera, order: FilmOrder, pixel: Tensor, sample: Tenso
 
 @stage()
 def film_place(like: Tensor, order: FilmOrder, pixel: Tensor, sample: Tensor, key: SampleKey) -> Vec2:
-    """The position of each sample in its pixel, (N,), as `sample_camera` draws it; args as there, `like` has the dtype."""
+    """The position of each sample in its pixel, (N,) in [0, 1), as `sample_camera` draws it; `like` has the dtype, the other
+    args are as for that."""
     return place_in_pixel(bounce_key(film_lane_key(order, pixel, sample, key), CAMERA_COUNTER), like.dtype)
 
 

@@ -70,7 +70,7 @@ def direct_light(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: Lig
 
 
 def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The points at which `direct_light` looks up network textures; args as there."""
+    """The points at which the stage `direct_light` looks up network textures; args as for that."""
     arrival, draw = rows((arrival, draw), lanes)
     si = surface_met(scene, arrival, Settings())
     found = material_places(scene, si)
@@ -81,7 +81,7 @@ def direct_light_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, dr
 
 
 def scattered_places(scene: SceneTensors, arrival: Arrival, lanes: Tensor, d: Vec3) -> tuple[Place, ...]:
-    """The points at which `scattered` looks up network textures; args as there."""
+    """The points at which the stage `scattered` looks up network textures; args as for that."""
     si = surface_met(scene, rows(arrival, lanes), Settings())
     return material_places(scene, si) + emission_places(scene, si)
 
@@ -136,7 +136,7 @@ def direct_light_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor,
 
 
 def places_in_medium(scene: SceneTensors, arrival: Arrival, lanes: Tensor, draw: LightDraw) -> tuple[Place, ...]:
-    """The points at which `direct_light_in_medium` looks up network textures; args as there."""
+    """The points at which the stage `direct_light_in_medium` looks up network textures; args as for that."""
     arrival, draw = rows((arrival, draw), lanes)
     if not scene.layout.lit:
         return ()
@@ -158,8 +158,8 @@ SCATTERED = VertexQuantity(scattered, scattered_places, scattered_by_medium, lam
 
 
 def light_sent_back(integrand: Integrand, state: PathState, hit: Hit, draw: LightDraw, flight: Flight | None = None) -> Vec3:
-    """The `direct_light` of all rays, (N,): of surfaces, and of media where paths scatter before them; 0 where nothing
-    scatters.
+    """The light of one light sample each that is scattered back along all rays, without shadows, (N,): by surfaces, or by
+    media where paths scatter before these; 0 where nothing scatters.
 
     Args:
         integrand: the scene, detached, and how to evaluate it.

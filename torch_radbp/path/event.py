@@ -119,7 +119,7 @@ def events_of(layout: Layout, last: bool) -> tuple[Event, ...]:
 
 @functools.lru_cache(maxsize=256)
 def scattering_and_end(appearances: int, media: tuple[int, ...], surroundings: bool) -> tuple[Event, ...]:
-    """The events on surfaces of `appearances` kinds and in media of these numbers, and that of leaving the scene if
+    """The events of hitting a surface of each appearance, of scattering in each of some media, and of leaving the scene if
     something is seen there."""
     end = (Ends.SURROUNDINGS,) if surroundings else ()
     return (*map(SurfaceMet, range(appearances)), *map(FlightEnd, media), *end)

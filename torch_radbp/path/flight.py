@@ -168,7 +168,10 @@ def point_along(ray: Ray, t: Tensor) -> Vec3:
 
 
 def floor_in_medium(scene: SceneTensors, p: Vec3) -> Floor | None:
-    """A `Floor` for vertices p in a medium, which lie on no surface; None: no material lets points slide."""
+    """The surface on which vertices p stand, here none, since they are in a medium, for the sliding of points near them.
+
+    None: no material lets points slide.
+    """
     none = torch.zeros_like(p.x)
     return None if scene.triangles.plain is None else Floor(p.map(settled), Vec3(none, none, none), none > 0, none)
 

@@ -75,7 +75,7 @@ class Integrand(NamedTuple):
 
     @property
     def kernels_repeat(self) -> bool:
-        """True if kernels repeat a step for each lane until it is done, see `tensors.stage.stage`."""
+        """True if a call of a repeated stage, such as one of steps of delta tracking, goes on until each lane is done."""
         return self.stages.is_compiled and self.target.repeats
 
     @property
@@ -123,7 +123,7 @@ class Integrand(NamedTuple):
         return self.part(event).call(places, arrival, lanes, self.at(depth), self.settings_at(depth))
 
     def at(self, depth: int) -> Position:
-        """The position of a bounce on the path, as tensors."""
+        """The depth of a bounce on the path and whether Russian roulette is played there, as () tensors."""
         like = self.scene.lights.choice.pmf
         return position(depth, depth + 1 >= self.rr_depth, like.dtype, like.device)
 
@@ -186,7 +186,7 @@ def int32_number(value: int, device: torch.device) -> Tensor:
 
 @functools.lru_cache(maxsize=4096)
 def position(depth: int, roulette: bool, dtype: torch.dtype, device: torch.device) -> Position:
-    """The `Position` of the bounce at `depth` on its path, as cached tensors, with or without Russian roulette."""
+    """The depth of a bounce on its path, and whether Russian roulette is played there, as cached () tensors."""
     least, most = (SURVIVE_AT_LEAST, SURVIVE_AT_MOST) if roulette else (1.0, 1.0)
     return Position(depth_counter(depth, device), torch.tensor(least, dtype=dtype, device=device),
                     torch.tensor(most, dtype=dtype, device=device))

@@ -49,7 +49,7 @@ class LampTensors(NamedTuple):
 
 
 class MetFirst(NamedTuple):
-    """The first surfaces that rays from lamps hit, (N,)."""
+    """The triangles that rays from lamps hit first, to which their derivatives may be glued, (N,)."""
 
     corners: Corners  # of the triangles, world, attached
     hit: Hit

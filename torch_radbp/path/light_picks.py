@@ -43,7 +43,7 @@ def pick_light(scene: SceneTensors, choice: TreeChoice, arrival: Arrival, at: Po
 
 @stage("scene")
 def emitter_met(scene: SceneTensors, hit: Hit) -> tuple[Tensor, LightPick]:
-    """(N,) bool: rays that hit an emitter; and a `LightPick` of N lanes in which no light is selected yet.
+    """(N,) bool: rays that hit an emitter; and the record of the lights that N lanes select, none so far.
 
     Args:
         scene: detached; any part of it.

@@ -33,7 +33,8 @@ def first_was_narrow(state: PathState) -> Tensor:
 
 
 def next_first(state: PathState, pdf: Tensor, narrow: Tensor | None) -> Tensor | None:
-    """`PathState.first` once paths scatter at another vertex, with density `pdf`; args as for `narrowly`."""
+    """(N,) int32: whether the first and the latest vertex of paths are narrow, as `PathState.first` has it, once paths
+    scatter at another vertex, with density `pdf`; args as for `narrowly`."""
     if state.first is None:
         return None
     here = narrowly(pdf, narrow).to(torch.int32)

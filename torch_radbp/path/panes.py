@@ -30,7 +30,7 @@ from torch_radbp.vertex.material import material_at
 
 
 class Pane(NamedTuple):
-    """How much light surfaces let pass straight, (N,) each; zeros where a surface is none of `Layout.panes`."""
+    """How much light surfaces let pass straight, (N,) each; zeros where a surface is no pane or mask that rays pass."""
 
     through: Vec3  # share of light; attached
     chance: Tensor  # probability that such a lobe is chosen, detached
@@ -66,7 +66,7 @@ def pane_at(scene: SceneTensors, ray: Ray, hit: Hit, choice: Tensor | None = Non
 
 
 def no_panes(scene: SceneTensors, none: Tensor) -> PanesPassed | None:
-    """The initial `PanesPassed` of N rays, before any pane; None: the scene has no panes. `none`: (N,) zeros."""
+    """The state of N rays that have passed no pane yet; None: the scene has no panes. `none`: (N,) zeros."""
     if not scene.layout.panes:
         return None
     number = torch.zeros_like(none, dtype=torch.int32)

@@ -70,7 +70,7 @@ def way_begun(scene: SceneTensors, state: PathState, at: Position) -> PathPassag
 
 
 def ways_at_first(scene: SceneTensors, none: Tensor) -> tuple[MediumWay, ...]:
-    """For each medium a `MediumWay` of length 0; `none`: (N,) zeros."""
+    """For each medium the way through it before a ray's first segment, of length 0; `none`: (N,) zeros."""
     return tuple(MediumWay(none, Vec3.full(none, 1.0), none) if kind.heterogeneous else MediumWay(none)
                  for kind in scene.layout.media)
 
@@ -270,7 +270,12 @@ def medium_beyond(scene: SceneTensors, prim: Tensor, cosine: Tensor, medium: Ten
 
 @stage("scene")
 def no_crossing(scene: SceneTensors, like: Tensor) -> BoundaryCrossing:
-    """A `BoundaryCrossing` of N rays that pass no boundary. `scene`: any part of it; `like`: (N,) gives the dtype."""
+    """The record of a crossing of a medium's boundary for N rays that pass none.
+
+    Args:
+        scene: any part of it.
+        like: (N,) gives the dtype.
+    """
     none, number = torch.zeros_like(like), torch.zeros_like(like, dtype=torch.int32)
     instance = None if scene.triangles.instances is None else number
     return BoundaryCrossing(Hit(number - 1, none, none, none, instance), number, number)

@@ -21,7 +21,7 @@ from torch_radbp.vertex.interaction import is_in_front
 
 
 class Queue(NamedTuple):
-    """A range of `Step.order` whose lanes have the same event, and so run the same functions."""
+    """Lanes with the same event, which run the same functions: a range of the order into which a step has put lanes."""
 
     event: Event  # what happens to them
     first: int | LaneCount
@@ -57,7 +57,7 @@ def _numbered(appearance: Tensor, nothing: Tensor | int, image_lanes: ImageLanes
 
 
 def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
-    """`Step.order` and `Step.queues` where all lanes have the same event.
+    """The lanes that have an event, in order, and the queues that they form, where it is the same for all.
 
     Args:
         event: of all lanes.
@@ -72,7 +72,7 @@ def one_queue(event: Event, found: Tensor) -> tuple[Tensor, tuple[Queue, ...]]:
 
 
 def queues_by(number: Tensor, events: Sequence[Event], apart: bool) -> tuple[Tensor, tuple[Queue, ...]]:
-    """Sorts lanes into queues by their numbers; returns `Step.order` and `Step.queues`.
+    """Sorts lanes into queues by their numbers; returns the lanes in the order of queues, (K,) int32, and the queues.
 
     Args:
         number: (N,) int32, as from `appearance_met`.

@@ -24,13 +24,16 @@ def first_hit(integrand: Integrand, ray: Ray, depth: int) -> Hit:
 
 def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: ImageLanes | None = None,
            flight: Flight | None = None) -> tuple[Tensor | None, Tensor, tuple[Queue, ...]]:
-    """Sorts rays with hits into queues: returns `Step.front`, `Step.order` and `Step.queues`.
+    """Sorts rays with hits into queues by what they meet.
 
     Args:
         ray, hit: (N,).
         last: whether this is the last bounce, where only emission counts.
         image_lanes: lanes that count in the image alone; None: there are none.
         flight: (N,) how far paths come in media, see `Arrival`.
+
+    Returns:
+        (N,) bool, the front of a surface is met (None: sides do not differ); the lanes in the order of queues; the queues.
     """
     if last:
         return None, *one_queue(Ends.LAST_BOUNCE, integrand.part(Ends.LAST_BOUNCE).call(shines, hit, image_lanes, flight))
@@ -40,7 +43,8 @@ def queued(integrand: Integrand, ray: Ray, hit: Hit, last: bool, image_lanes: Im
 
 def appearances_met(integrand: Integrand, ray: Ray, hit: Hit, image_lanes: ImageLanes | None = None,
                     flight: Flight | None = None) -> tuple[Tensor, Tensor | None]:
-    """The queue numbers of rays with hits, (N,) int32, for `queues_by`, and `Step.front`; args as for `queued`."""
+    """The queue numbers of rays with hits, (N,) int32, and (N,) bool, whether they meet the front of a surface; None: sides
+    do not differ. Args as for `queued`."""
     part = integrand.part(Ends.SURROUNDINGS)
     number, differs = part.call(appearance_met, hit, integrand.no_appearance, image_lanes, flight)
     front = None if differs is None else nothing(differs)

@@ -129,7 +129,7 @@ class Flight(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """The paths that reach a bounce, and the surfaces that they hit, (N,) each."""
+    """The paths that reach a bounce, and what they meet there: surfaces, or a medium before these; (N,) each."""
 
     state: PathState
     hit: Hit

@@ -71,7 +71,7 @@ def survivors(integrand: Integrand, state: PathState, step: Step) -> PathState:
 
 
 def surviving(step: Step) -> Tensor:
-    """Indices into `Step.order` of the lanes that go on, int32; these are also rows of the `Vertex`."""
+    """The places of the lanes that go on, int32, in the order into which the step has put lanes, as its vertices are."""
     return chosen(step.survives)
 
 
@@ -90,14 +90,14 @@ class Onward(NamedTuple):
         return len(self.paths.lane if self.alive is None else self.alive) if self.number is None else self.number
 
     def with_less_room(self, depth: int) -> Onward:
-        """These paths in less memory, where only the device knows their number; waits for that at every `ASKED`-th depth."""
+        """The paths in less memory, where only the device knows their number; waits for that at every `ASKED`-th depth."""
         if self.number is None or depth % ASKED:
             return self
         most = min(power_of_2(waited_for(self.number)), self.number.most)
         return self._replace(alive=self.alive[:most], number=self.number._replace(most=most))
 
     def cut_to_count(self) -> Onward:
-        """These paths without unused lanes; waits for the device if it alone knows their number."""
+        """The paths without unused lanes; waits for the device if it alone knows their number."""
         return self if self.number is None else self._replace(alive=self.alive[:waited_for(self.number)], number=None)
 
     def packed(self, integrand: Integrand) -> PathState:

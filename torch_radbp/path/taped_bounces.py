@@ -138,7 +138,7 @@ def positions_taken(integrand: Integrand, depth: int) -> tuple[Position, ...]:
 
 
 def recipe(bounce: Bounce, integrand: Integrand, depth: int) -> tuple[tuple, Callable]:
-    """The key of a bounce on a tape, and the function that is recorded for it."""
+    """The key under which a tape keeps the recording of a bounce, and the function that takes the bounce to be recorded."""
     def step(onward: Onward, L: Vec3 | None, at: tuple[Position, ...]) -> Played:
         state, step, onward = bounce(integrand, onward, depth, L)
         counts = [border for queue in step.queues for border in (queue.first, queue.last)]

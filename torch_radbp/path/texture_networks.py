@@ -108,7 +108,7 @@ def sorted_by_module(banks: Sequence[ModuleBank], rows: Sequence[Tensor]) -> lis
 
 
 def coordinates(at: Sequence[Tensor]) -> Vec2 | Vec3:
-    """A `Vec2` or `Vec3` of two or three components, as in `Place.at`."""
+    """Two or three coordinates, (N,) each, as a vector: the point at which a texture is looked up."""
     return Vec2(*at) if len(at) == 2 else Vec3(*at)
 
 

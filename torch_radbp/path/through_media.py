@@ -38,7 +38,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, rows
 
 
 def free_flights(integrand: Integrand, state: PathState, hit: Hit, depth: int) -> tuple[Hit, Flight | None]:
-    """Follows paths through media: the surfaces hit, and how far paths come before they scatter; None: see `Arrival`.
+    """Follows paths through media: the surfaces hit, and how far paths come before they scatter, None without media.
 
     Args:
         integrand: the scene.
@@ -100,7 +100,7 @@ class BoundaryCrossings:
         self.part, self.pick, self.rays = integrand.part(Ends.SURROUNDINGS), integrand.stages(rows), rays
 
     def none(self) -> BoundaryCrossing:
-        """A `BoundaryCrossing` in which no ray crosses."""
+        """The record of a crossing of a medium's boundary in which no ray crosses one."""
         return apart(self.part.call(no_crossing, self.rays.o.x))
 
     def add(self, lanes: Tensor, hit: Hit, before: Tensor, after: Tensor, passes: Tensor) -> None:

@@ -99,7 +99,7 @@ class VertexKind(ABC):
 
     def attached_ray(self, scene: SceneTensors, terms: Terms, following: Hit, sampling: str,
                      there: Corners | None = None) -> tuple[Vec3, Ray]:
-        """`Terms.weight` and the rays along which paths go on, with the derivatives that `sampling` includes.
+        """The factor of light from the next vertex, and the rays towards it, with the derivatives that `sampling` includes.
 
         Args:
             scene: attached; gives the geometry of the next vertex.

@@ -83,7 +83,13 @@ def texture_values_of(integrand: Integrand, arrival: Arrival, depth: int, queues
 
 
 def room_for_vertices(state: PathState, lanes: int, with_light: bool, factors: bool, from_lamps: bool) -> Vertex:
-    """An uninitialised `Vertex` of `lanes` lanes to write results into; `factors`: see `Settings`."""
+    """The uninitialised terms, shadow rays and next states of `lanes` vertices, to write results into.
+
+    Args:
+        state: of the paths, gives dtypes.
+        lanes: how many.
+        with_light: with emission and next-event estimates; `factors`: with F; `from_lamps`: with film positions.
+    """
     def room(part):
         if part is None or isinstance(part, Tensor):
             return None if part is None else part.new_empty(lanes)

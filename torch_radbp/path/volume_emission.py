@@ -47,7 +47,12 @@ SALT = 0x3C6EF372  # tells the random numbers of places from those of flights
 
 @stage("scene")
 def emission_begun(scene: SceneTensors, state: PathState) -> EmissionPlace:
-    """The initial `EmissionPlace` of path segments, (N,): no point sampled yet. `scene`: detached; any part of it."""
+    """The points on path segments at which media's emission is evaluated, (N,), before any is sampled.
+
+    Args:
+        scene: detached; any part of it.
+        state: the paths.
+    """
     none = torch.zeros_like(state.pdf)
     ways, nowhere = ways_at_first(scene, none), torch.full_like(state.lane, -1)
     return EmissionPlace(none, nowhere, none, none, ways, no_panes(scene, none))

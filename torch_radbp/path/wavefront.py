@@ -111,8 +111,8 @@ def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | 
 
 def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
              Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
-    """Adds beta E of a bounce to the radiance `L`, or for paths from lamps writes it and its place. Args as for
-    `brightened`."""
+    """Adds beta E of a bounce to the radiance `L`; of paths from lamps, writes it to `L` with its place on the film. Args as
+    for `brightened`."""
     if isinstance(L, BroughtToFilm):
         if film is not None:  # else these end, and are seen nowhere
             put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
@@ -129,7 +129,7 @@ class BroughtToFilm(NamedTuple):
 
 @stage("beta")
 def shining(beta: Vec3, order: Tensor, Le: Vec3, Ld: Vec3 | None, visible: Tensor | None) -> Vec3:
-    """The contributions beta E of vertices of paths from lamps. Args as for `brightened`."""
+    """What vertices of paths from lamps bring to the film: throughput beta times E. Args as for `brightened`."""
     return rows(beta, order) * (Le if Ld is None else gathered(Le, Ld, visible))
 
 

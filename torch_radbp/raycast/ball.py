@@ -24,7 +24,7 @@ class BallTables(NamedTuple):
 
 
 def ball_tables(balls: Balls, dtype: torch.dtype) -> BallTables:
-    """Builds the `BallTables` of some balls for rays of a dtype."""
+    """Builds the tables of tessellated spheres that ray casting loops for rays of a dtype read."""
     placement = balls.placement.double()
     to_unit = torch.linalg.inv(placement[:, :3, :3])
     middle = (torch.arange(SEGMENTS, dtype=torch.float64) + 0.5) * (2 * math.pi / SEGMENTS)

@@ -15,7 +15,8 @@ TABLE_BYTES = 4 << 20
 
 
 class Brute:
-    """A `RayCaster` for any device, which computes in float64. Time grows with lanes times triangles; memory does not.
+    """A ray caster for any device, which tests every triangle in float64. Time grows with lanes times triangles; memory does
+    not.
 
     An edge that two triangles share gives both the same edge function with opposite sign, to the last bit, so no ray
     slips between them (Davidovic et al. 2012, "3D rasterization: a bridge between rasterization and ray casting").

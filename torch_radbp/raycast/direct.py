@@ -28,7 +28,7 @@ CPU = torch.device("cpu")
 
 
 class DirectCaster:
-    """A `RayCaster` without a tree, for small meshes on the CPU, in the dtype of the rays.
+    """A ray caster without a tree, for small meshes on the CPU, in the dtype of the rays.
 
     `cost` is that of one ray, in tests of a triangle.
 
@@ -80,7 +80,7 @@ class DirectCaster:
         return hidden
 
     def _run(self, loop: Callable, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs one of the loops of `batches` over all lanes."""
+        """Runs the compiled closest-hit or occlusion loop over all lanes."""
         dtype, lanes = columns[0].dtype, columns[0].numel()
         inputs = [*columns_of(columns, dtype), *self.tables(dtype, loop)]
         body = code_of_batches(loop, dtype, self.balls is not None).address
@@ -103,7 +103,7 @@ class DirectCaster:
         return [*self.tables(dtype, batches.closest_hit_of_batches), *self.tables(dtype, batches.any_hit_of_batches)]
 
     def tables(self, dtype: torch.dtype, loop: Callable) -> tuple[Tensor, ...]:
-        """The tables of the mesh that a loop of `batches` reads, for rays of a dtype."""
+        """The tables of the mesh that the closest-hit or the occlusion loop reads, for rays of a dtype."""
         if (dtype, loop) not in self._meshes:
             p = self.vertices.to(dtype)[self._others.long()]
             faces = self._faces._replace(points=self._faces.points.to(dtype))
@@ -119,7 +119,10 @@ class DirectCaster:
 
 @made_once
 def code_of_batches(loop: Callable, dtype: torch.dtype, balls: bool = False, width: int | None = None) -> MachineCode:
-    """Compiles a loop of `batches` for a dtype and a vector width; None: the processor's own width."""
+    """Compiles the closest-hit or the occlusion loop over batches of rays, for a dtype and a vector width.
+
+    None: the processor's own width.
+    """
     width = width or host_width() * torch.float32.itemsize // dtype.itemsize
     code = Vectors(width, "float" if dtype == torch.float32 else "double")
     return cached_code(loop(code, balls))

@@ -33,7 +33,7 @@ PART = 1024  # lanes that a thread takes at a time: few enough to keep all threa
 
 
 class Embree:
-    """A `RayCaster` for tensors on the CPU; Embree itself works in float32.
+    """A ray caster for tensors on the CPU, by Embree, which itself works in float32.
 
     For float64 rays u, v and t are computed again in float64 from the ray and the triangle found, so that the point lies
     on the ray to that accuracy; which triangle is found remains a decision in float32. Components that are not
@@ -111,7 +111,7 @@ class Embree:
                 *(table.data_ptr() for table in self._tables)]
 
     def _run(self, loop: Callable, query: int, columns: list[Tensor], answers: Iterable[Tensor]) -> None:
-        """Runs one of the loops of `queries` over all lanes."""
+        """Runs one of the compiled loops, of closest hits or of occlusion, over all lanes."""
         lanes = columns[0].numel()
         columns = columns_of(columns, torch.float32)
         read = [query, self._scene.handle, self._near.data_ptr(), *(table.data_ptr() for table in self._tables)]
@@ -135,6 +135,6 @@ class Embree:
 
 @made_once
 def code_of_packets(loop: Callable, balls: bool, instances: bool = False) -> MachineCode:
-    """Compiles a loop of `queries` for Embree's packets of rays."""
+    """Compiles the closest-hit or the occlusion loop over lanes, with calls of Embree for packets of rays."""
     kernel = packets.OF_INSTANCES if instances else packets.KERNEL
     return cached_code(loop(Vectors(packets.WIDTH, "float"), every_ball.beside(kernel) if balls else kernel))

@@ -57,8 +57,8 @@ class Nearest(NamedTuple):
 
 
 def beside(kernel: CasterKernel) -> CasterKernel:
-    """A kernel that casts rays against balls and, by `kernel`, against the other triangles, which are numbered by
-    themselves.
+    """A kernel that casts rays against balls and, by `kernel`, against the triangles that belong to no ball, which `kernel`
+    numbers by themselves.
     """
 
     def closest(code: Vectors, rays: RayVector) -> tuple[str, ...]:

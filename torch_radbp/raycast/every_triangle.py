@@ -29,7 +29,7 @@ class RayView(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Iterable[str]) -> RayView:
-        """The record from the names of its six values, one after the other."""
+        """Makes the view from the names of its six LLVM values, one after the other."""
         x, y, z, first, second, axis = numbers
         return cls([x, y, z], [first, second], axis)
 

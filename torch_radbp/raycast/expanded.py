@@ -14,7 +14,7 @@ from torch_radbp.raycast.protocol import Hit, Ray, RayCaster
 
 
 class ExpandedCaster:
-    """A `RayCaster` that copies the triangles of every instance and casts rays by a caster that knows no instances.
+    """A ray caster that copies the triangles of every instance and casts rays by a caster that knows no instances.
 
     Args:
         make: makes that caster, of vertices and faces.
@@ -48,11 +48,11 @@ class ExpandedCaster:
         return [self.triangle, self.instance, *self.caster.reads(dtype)]
 
     def launch(self, *arguments) -> None:
-        """Casts a ray for each lane on a GPU, without waiting; see `jit.nvidia.launches.Caster`."""
+        """Casts a ray for each lane on a GPU, without waiting; args as of `jit.nvidia.launches.Caster.launch`."""
         self.caster.launch(*arguments)
 
     def given(self) -> bytes:
-        """See `jit.nvidia.launches.Caster`."""
+        """The bytes that `launch` hands to the GPU's kernels beside its own arguments."""
         return self.caster.given()
 
     def count(self, rays: int) -> None:

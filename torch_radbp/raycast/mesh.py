@@ -26,7 +26,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def asked_of(vertices: Tensor, faces: Tensor, instances: Instances | None = None) -> list[Tensor]:
-        """The tensors on the device that hold the numbers of this record; none for invalid meshes, which are checked later.
+        """A mesh's extremes, the numbers of this record, as tensors on the device; none if invalid: that is checked later.
 
         Args:
             vertices: (V, 3).
@@ -43,7 +43,7 @@ class MeshExtremes(NamedTuple):
 
     @staticmethod
     def of(numbers: Sequence[float], unmoved: bool = False) -> MeshExtremes | None:
-        """The record made of the values of the tensors of `asked_of`, in that order; None if there are none."""
+        """The record of a mesh's extremes, made of the fetched values of the tensors of `asked_of`; None without values."""
         if not numbers:
             return None
         finite, least, greatest, extent, *corners = numbers

@@ -126,7 +126,7 @@ def box_of_ball(placement: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def triangle_runs(p: Tensor, faces: MergedFaces, first: Tensor, scale: Tensor, balls: Tensor | None) -> Runs:
-    """Builds the `Runs` of a mesh from its faces and the first face of each run.
+    """Builds the tables of a mesh divided into runs, from its faces and the first face of each run.
 
     Args:
         p: (F, 3, 3) their corners.

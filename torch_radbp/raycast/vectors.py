@@ -153,7 +153,7 @@ class Vectors:
         return self.line(f"select {self.flags} {flags}, {vector} {a}, {vector} {b}")
 
     def lesser(self, a: str, b: str) -> str:
-        """The lesser of two numbers; `b` if one is NaN. So for `greater`."""
+        """The lesser of two numbers, `b` if one is NaN; as is `greater`."""
         return self.choose(self.compare(a, "olt", b), a, b)
 
     def greater(self, a: str, b: str) -> str:

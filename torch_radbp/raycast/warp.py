@@ -44,7 +44,7 @@ ANSWERS = (torch.int32, torch.float32, torch.float32, torch.float32)  # what the
 
 
 class Warp:
-    """A `RayCaster` for tensors on CUDA, or on the CPU; Warp itself works in float32.
+    """A ray caster for tensors on CUDA, or on the CPU, by Warp, which itself works in float32.
 
     For float64 rays u, v and t are computed again in float64 from the ray and the triangle found. Geometry that moves gets a
     new tree, as with the other casters, so that graphs keep the old one; the trees of groups are taken from the last caster
@@ -137,18 +137,18 @@ class Warp:
             self._rays += rays
 
     def launch(self, kernel: wp.Kernel, lanes: int, last: int, *addresses: int) -> None:
-        """Casts a ray for each lane on the device, without waiting; see `jit.nvidia.launches.Caster`."""
+        """Casts a ray for each lane on the device, without waiting; args as of `jit.nvidia.launches.Caster.launch`."""
         kinds = [argument.type.dtype for argument in kernel.adj.args[-len(addresses):]]
         self._start(kernel, lanes, self._memory(last, wp.int64, 1), list(map(self._memory, addresses, kinds, repeat(lanes))))
 
     def given(self) -> bytes:
-        """See `jit.nvidia.launches.Caster`."""
+        """The bytes that `launch` hands to kernels beside its own arguments; the current stream counts as a reader now."""
         if not self._device.is_cpu:
             self._used()
         return self._given
 
     def _memory(self, address: int, kind: type, entries: int):
-        """Warp's descriptor of entries that lie at an address."""
+        """Warp's array over memory at an address, with so many entries of a type."""
         found = lanes_of(self._rays_counted)
         found.data, found.shape[0], found.strides[0] = address, entries, wp.types.type_size_in_bytes(kind)
         return found
@@ -176,7 +176,7 @@ class Warp:
         return None if self._device.is_cpu else wp.stream_from_torch(self._used())
 
     def _used(self) -> torch.cuda.Stream:
-        """torch's current CUDA stream, on which the triangles are read from now on, unless it is being captured."""
+        """torch's current CUDA stream, noted as one that reads the triangles, unless a CUDA graph is being captured."""
         current = torch.cuda.current_stream(self.vertices.device)
         if current != torch.cuda.default_stream(self.vertices.device) and not torch.cuda.is_current_stream_capturing():
             self._streams.add(current)
@@ -245,7 +245,7 @@ def closest_hit(mesh: wp.uint64, unit: float, last: wp.array(dtype=wp.int64), ra
                 ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                 dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                 prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float), t: wp.array(dtype=float)):
-    """The kernel of `RayCaster.intersect`, one thread per ray."""
+    """The GPU kernel that finds the closest hits of rays by a tree of triangles, one thread per ray."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return
@@ -269,7 +269,7 @@ def any_hit(mesh: wp.uint64, unit: float, last: wp.array(dtype=wp.int64), rays: 
             ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
             dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float), tmax: wp.array(dtype=float),
             hidden: wp.array(dtype=wp.bool)):
-    """The kernel of `RayCaster.occluded`, one thread per ray."""
+    """The GPU kernel that tells by a tree of triangles whether segments are occluded, one thread per ray."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return

@@ -34,7 +34,7 @@ class FewFaces(NamedTuple):
 
 
 def few_faces(corners: Tensor, device: torch.device) -> FewFaces | None:
-    """The `FewFaces` of triangles, on a device; None if they are more than a ray should test one by one.
+    """The planes and coordinates of triangles' faces, on a device; None if a ray should not test so many one by one.
 
     Args:
         corners: (F, 3, 3) float32, of the host, which would wait for the device a dozen times otherwise.
@@ -107,7 +107,7 @@ def height(plane: wp.vec4, p: wp.vec3) -> float:
 
 @wp.func
 def rise(plane: wp.vec4, d: wp.vec3) -> float:
-    """The change of `height` along a direction."""
+    """The change, along a direction, of the height above a plane, or of the coordinate, that `height` gives."""
     return plane[0] * d[0] + plane[1] * d[1] + plane[2] * d[2]
 
 
@@ -131,7 +131,8 @@ def closest_of_few(planes: wp.array(dtype=wp.vec4), prims: wp.array(dtype=int), 
                    ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                    dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                    prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float), t: wp.array(dtype=float)):
-    """The kernel of `RayCaster.intersect`, one thread per ray; of equally far faces the first counts."""
+    """The GPU kernel that finds the closest hits of rays among few faces, one thread per ray; of equally far faces the
+    first counts."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return
@@ -166,7 +167,7 @@ def any_of_few(planes: wp.array(dtype=wp.vec4), prims: wp.array(dtype=int), plac
                ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float), tmax: wp.array(dtype=float),
                hidden: wp.array(dtype=wp.bool)):
-    """The kernel of `RayCaster.occluded`, one thread per ray."""
+    """The GPU kernel that tells whether one of few faces occludes a segment, one thread per ray."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return

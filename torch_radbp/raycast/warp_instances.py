@@ -48,7 +48,7 @@ class ShownGroups(NamedTuple):
     trees: Tensor  # (L + 1,) int64, the addresses of the groups' trees; 0: none
 
     def head(self) -> list:
-        """The first arguments of the kernels."""
+        """The arguments that kernels get before those of the rays: the upper tree, transforms, and the groups' trees."""
         nodes, places = (wp.from_torch(table, dtype=wp.vec4, return_ctype=True) for table in (self.nodes, self.places))
         trees = wp.from_torch(self.trees, dtype=wp.uint64, return_ctype=True)
         return [nodes, places, lanes_of(self.shown), trees, len(self.trees) - 1]
@@ -230,7 +230,7 @@ def closest_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.
                       dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                       prim: wp.array(dtype=int), u: wp.array(dtype=float), v: wp.array(dtype=float),
                       t: wp.array(dtype=float), instance: wp.array(dtype=int)):
-    """The kernel of `RayCaster.intersect`, one thread per ray."""
+    """The GPU kernel that finds the closest hits of rays by the trees of groups and instances, one thread per ray."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return
@@ -267,7 +267,8 @@ def any_of_groups(nodes: wp.array(dtype=wp.vec4), places: wp.array(dtype=wp.vec4
                   ox: wp.array(dtype=float), oy: wp.array(dtype=float), oz: wp.array(dtype=float),
                   dx: wp.array(dtype=float), dy: wp.array(dtype=float), dz: wp.array(dtype=float),
                   tmax: wp.array(dtype=float), hidden: wp.array(dtype=wp.bool)):
-    """The kernel of `RayCaster.occluded`, one thread per ray, which ends at the first hit."""
+    """The GPU kernel that tells by the trees of groups and instances whether segments are occluded, one thread per ray,
+    which ends at the first hit."""
     lane = wp.tid()
     if is_beyond(lane, last, rays):
         return

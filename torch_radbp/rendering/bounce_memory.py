@@ -177,7 +177,7 @@ def measured(integrand: Integrand, asked: Integrand, attached: Integrand | None,
 
 
 def without_modules(numbered: SceneTensors) -> SceneTensors:
-    """The record of leaf numbers, see `numbered_leaves`, with those of modules' parameters left out."""
+    """A record of the scene's structure with the gradient index of each leaf, without those of modules' parameters."""
     def emptied(bank):
         return bank._replace(parameters=tuple((None,) * len(own) for own in bank.parameters)) if (
             isinstance(bank, ModuleBank)) else bank
@@ -186,7 +186,7 @@ def without_modules(numbered: SceneTensors) -> SceneTensors:
 
 
 def held_of(integrand: Integrand) -> float:
-    """The greatest bytes per lane of textures' modules in the backward pass: rows, inputs, and adjoints of values."""
+    """The greatest number of bytes per lane that network textures hold in the backward pass: rows, inputs, and adjoints."""
     layout = integrand.scene.layout
     values = max(number_outside(layout, scatterer, integrand.settings.nee) for scatterer in (None, *layout.appearances))
     return values * (torch.int32.itemsize + 2 * len(Vec3._fields) * integrand.scene.lights.choice.pmf.dtype.itemsize)

@@ -149,7 +149,7 @@ def with_narrow_materials(call: RenderCall, narrow: Tensor | None) -> RenderCall
 
 
 def sharing(call: RenderCall, light_paths: str, most: int | None) -> RenderCall:
-    """A call whose paths have only their share of the light beside those from the other end; of at most `most` vertices."""
+    """The call with paths that bring no light that is left to paths from the other end; of `most` vertices at most."""
     def shared(integrand: Integrand) -> Integrand:
         depth = integrand.max_depth if most is None else min(integrand.max_depth, most)
         return integrand._replace(settings=integrand.settings._replace(light_paths=light_paths), max_depth=depth, parts={})

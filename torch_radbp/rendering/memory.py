@@ -136,7 +136,7 @@ def least_records(dtype: torch.dtype) -> RecordSizes:
 
 
 class Workload(NamedTuple):
-    """The work of a call, independent of its plan."""
+    """The work of a call, by which its memory is predicted for any chunk size and strategy of the backward pass."""
 
     fractions: list[float]  # of camera paths that reach each depth
     lanes: int  # of the whole call: sensors x pixels x samples
@@ -232,7 +232,8 @@ def predict_all(works: Sequence[Workload], chunk: int, adjoint: AdjointStrategy,
 
 
 def states_kept(adjoint, bounces: int, work: Workload) -> float:
-    """The number of states kept of a camera path after `bounces` bounces; 1 if the first serves for all."""
+    """The mean number of states kept of a camera path after `bounces` bounces; the first counts only if all are kept, else
+    camera rays are made again."""
     depths = adjoint.kept(bounces, work.max_depth)
     return sum(work.fractions[depth] for depth in depths if depth > 0 or len(depths) == bounces)
 

@@ -333,7 +333,7 @@ class Renderer(nn.Module):
 
     def prepared(self, shots: list[Shot], seed: int | None, spp: int | None, seed_grad: int | None,
                  aovs: bool = False, beside: Mapping[str, Tensor] = MappingProxyType({})) -> RenderCall:
-        """Prepares a call for some shots: packs the scene, builds the ray caster, plans chunks."""
+        """Prepares a call for some images (sensors and windows): packs the scene, builds the ray caster, plans chunks."""
         check_settings(self)  # they may have been assigned since
         refuse_tracing()
         cache = PackCache(self.cache_for_aovs if aovs else self.cache)

@@ -33,7 +33,7 @@ UNLIMITED = 1024  # bounces; roulette ends a path long before
 
 
 class RendererSettings(TypedDict, total=False):
-    """The keyword arguments of `Renderer` except scene and spp, for functions that pass them on; see there."""
+    """The types of the keyword arguments of `Renderer` but scene and spp, for functions that pass these arguments on."""
 
     max_depth: int | None
     rr_depth: int | None
@@ -156,7 +156,7 @@ def checked_seed(name: str, value: int) -> int:
 
 
 def checked_seeds(seed: int | None, seed_grad: int | None, share_samples: bool) -> tuple[int, int]:
-    """Checks the seeds of an image and of its derivative; None as in `Renderer.forward`.
+    """Checks the seeds of an image and of its derivative, and picks those that are None.
 
     Raises:
         ValueError: as `checked_seed`.

@@ -65,7 +65,7 @@ class Unseen:
         self.rounds = 0.0  # over all sensors
 
     def add(self, looks: list[UsedImage]) -> None:
-        """Counts the images of a backward pass."""
+        """Adds the images of one more backward pass that gave the parameter no gradient."""
         self.sensors |= {look.sensor for look in looks if look.sensor is not None}
         self.rounds += sum(look.share for look in looks)
 
@@ -161,7 +161,7 @@ def which_see(parameter: str, sensors: list[str]) -> list[str]:
 
 
 def look_of(view: View, sensors: Mapping[str, Sensor]) -> UsedImage:
-    """The `UsedImage` of a view of which the loss uses everything; `sensors`: all of the scene."""
+    """The image of a view, all of which the loss uses, as a share of the scene's images; `sensors`: all of the scene."""
     name = next((name for name, sensor in sensors.items() if sensor is view.sensor), None)
     if name is None:
         return UsedImage(None, RAYS)

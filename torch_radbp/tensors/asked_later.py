@@ -23,7 +23,7 @@ class Mistaken(Exception):
 
 
 class Inquiry(NamedTuple):
-    """Numbers that are to be fetched from a device, and the function that is then called with them, which may raise."""
+    """Numbers that are to be fetched from a device, with the function that is then called with them, and may raise."""
 
     numbers: Tensor  # (K,) on a device
     then: Callable[[list[float]], None]
@@ -65,7 +65,7 @@ def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] 
 
     Args:
         more: other numbers, of any shape; they are returned one after the other.
-        counts: of these; if false, inquiries of the innermost context are dropped.
+        counts: a function of these numbers; if it is false, the inquiries of the innermost context are dropped.
     """
     levels = [list(level) for level in HERE.waiting]
     if not any(levels):
@@ -84,7 +84,7 @@ def answered(more: Sequence[Tensor] = (), counts: Callable[[list[float]], bool] 
 
 
 def presuming() -> bool:
-    """True if this thread may go on by presumed values of flags that only the device knows; see `Presumptions`."""
+    """True if this thread may presume values of flags that only the device knows, and go on; they are checked later."""
     return HERE.presumes
 
 

@@ -31,5 +31,5 @@ def partition_by_torch(number: Tensor, queues: int) -> tuple[Tensor, list[int]]:
 
 
 def lengths(ends: Sequence[int]) -> list[int]:
-    """The numbers of lanes of consecutive queues that end at these places."""
+    """The numbers of lanes of consecutive queues, given where each ends in the order of all lanes."""
     return [end - first for first, end in zip([0, *ends], ends)]

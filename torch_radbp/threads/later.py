@@ -39,7 +39,7 @@ class Later(Generic[Made]):
         return self
 
     def beside(self) -> Later[Made]:
-        """As `meanwhile`, of a value that several helpers may compute beside each other; they enter LLVM by `helping`."""
+        """Returns itself, after asking a helper that computes beside others, and enters LLVM with the lock `helping`."""
         team.ASSEMBLERS.call(team.Task(self.helped_beside), 1, min(MOST_ASSEMBLERS, os.cpu_count() or 1))
         return self
 
@@ -77,7 +77,7 @@ class Later(Generic[Made]):
         return self.computed()
 
     def computed(self) -> Made:
-        """The value, as `result`."""
+        """The value, computed now if necessary by this thread, which may be a helper."""
         if self.make is not None:
             with self.making:
                 if (failed := self.failed) is not None:

@@ -30,7 +30,7 @@ EVEN = 4  # parts for each thread, of more of which it matters little
 
 
 class Job(ctypes.Structure):
-    """A loop over lanes, of which threads take parts, as a C structure."""
+    """The C structure from which threads take parts of a compiled loop over lanes, one after the other."""
 
     _fields_ = [("lanes", ctypes.c_int64), ("part", ctypes.c_int64), ("next", ctypes.c_int64),
                 ("inputs", ctypes.c_void_p), ("outputs", ctypes.c_void_p)]
@@ -278,7 +278,14 @@ class LaneLoop(NamedTuple):
 
 
 def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = PART) -> None:
-    """Runs a loop on all threads of this one; see `LaneLoop`. Inside `loops_together` it is deferred."""
+    """Runs compiled code over lanes on all threads that may work for this one; in `loops_together` at the end of that.
+
+    Args:
+        body: the address of a C function that takes parts of a `Job`.
+        lanes: how many.
+        inputs, outputs: addresses, of what `body` reads and writes.
+        part: the lanes that a thread takes at a time.
+    """
     if HERE.loops is None:
         run_loops([LaneLoop(body, lanes, inputs, outputs, part_for_all(lanes, part))])
     else:
@@ -286,7 +293,7 @@ def run_lanes(body: int, lanes: int, inputs: array, outputs: array, part: int = 
 
 
 def part_for_all(lanes: int, part: int) -> int:
-    """The size of parts, at most `part`, with which all threads get equally many."""
+    """The number of lanes, at most `part`, that a thread takes at a time, such that all threads get equally many parts."""
     count, team = -(-lanes // part), threads()
     if count < 2 or count > EVEN * team:
         return part

@@ -38,12 +38,12 @@ def in_turns(count: int, workers: int, work: Callable[[Iterable[int]], Result]) 
 
 
 def by_number(shares: Sequence[Sequence[Result]]) -> list[Result]:
-    """What was found for each of the numbers that `in_turns` has dealt out, in order."""
+    """The results for the numbers 0, 1, ... that `in_turns` has dealt out to shares; `shares`: of each, in order."""
     return [shares[index % len(shares)][index // len(shares)] for index in range(sum(map(len, shares)))]
 
 
 def while_nobody_failed(task: Task, share: range) -> Iterator[int]:
-    """Yields the numbers of a share; after an error on another thread only the first."""
+    """Yields the numbers of a share, and ends early once there was an error on some thread."""
     for number in share:
         if task.error is not None:
             return

@@ -266,7 +266,7 @@ def from_apex(geometry: Geometry, sight: Sight, faces: Faces, kind: int) -> tupl
 
 
 def geometry_number(geometry: Geometry, between: Between) -> Tensor:
-    """(F,) a float64 tensor with one entry for each triangle, as a template for others."""
+    """An (F,) float64 tensor, one entry for each triangle, as a template for tensors of that shape."""
     return lookup(geometry.triangles.vertices.p.x, between.first).double()
 
 
@@ -280,7 +280,7 @@ def middle(sight: Sight, geometry: Geometry, between: Between) -> Vec2 | None:
 
 def net(geometry: Geometry, camera: Camera, between: Between, instance: Tensor | None, kind: int,
         aperture: Vec2 | None) -> TriangleLevel:
-    """The `TriangleLevel` of a level function, from its values at corners and midpoints of sides."""
+    """The six coefficients of a level function on triangles, from its values at corners and midpoints of sides."""
     p = positions(geometry, between, instance)
     n = vertex_normals(geometry, between, instance) if kind == RIM else (None,) * 3
     level = LEVELS[kind]

@@ -16,7 +16,7 @@ SHADED = -1  # none, but that the light of a lamp may end there: inside of smoot
 
 
 def creases(edges: Edges, triangles: TriangleTable, shape: Tensor | None) -> Tensor:
-    """The kind of crease that each edge is, (E,) int32; see `Outline.crease`.
+    """How an image may jump at edges that are no silhouettes, (E,) int32: not at all, by anything, or as much as they fold.
 
     Args:
         edges: of triangles of this table.

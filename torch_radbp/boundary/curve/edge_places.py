@@ -84,7 +84,8 @@ def jump_of_creases(outline: Outline, a: Vec3, b: Vec3, opposite: Sequence[Vec3]
 
 
 def folds(a: Vec3, b: Vec3, opposite: Sequence[Vec3]) -> tuple[Tensor, Tensor]:
-    """Half the length of the difference of the two triangles' normals at edges, (E,) float64; and that with one flipped."""
+    """Half the length of the difference of the two triangles' unit normals at edges, and the same with one normal reversed;
+    (E,) float64 each, 0 where it is small."""
     here, there = (unit_normal(b - a, tip - a) for tip in opposite[:2])  # of two that are alike on opposite sides
     apart = [0.5 * torch.sqrt(dot(difference, difference)) for difference in (here + there, here - there)]
     return tuple(torch.where(half > COPLANAR, half, 0.0) for half in apart)
@@ -207,7 +208,7 @@ def facing_at(geometry: Geometry, triangle: Tensor, between: Between, instance: 
 
 
 def _in_order(sheets: list[Sheet], silhouette: Tensor, known: Tensor) -> tuple[Glued, Glued]:
-    """The visible triangles behind and ahead of edges: at silhouettes the nearer one for both; unknown where not `known`."""
+    """The triangles seen right behind and ahead of edges, at silhouettes the nearer one for both; -1 if not `known`."""
     one, two = sheets
     nearer, first = one.nearness >= two.nearness, one.ahead <= two.ahead
     found = []

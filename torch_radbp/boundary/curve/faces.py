@@ -37,7 +37,7 @@ def joined_faces(parts: list[Faces]) -> Faces | None:
 
 
 def with_shares(parts: Sequence[Any]) -> list[Any]:
-    """The records, each with a `share`: 1, (N,) float64, where it had none, if any record has one."""
+    """The records, with ones, (N,) float64, in the place of a missing `share`, unless all of them lack it."""
     if all(part.share is None for part in parts):
         return list(parts)
     return [part if part.share is not None else part._replace(share=torch.ones_like(leaves_of(part)[0], dtype=torch.float64))

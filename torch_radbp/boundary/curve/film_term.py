@@ -75,7 +75,7 @@ FILM_TERMS: list[FilmTerm] = []
 
 
 def film_term(term: Term) -> Term:
-    """Registers a film term; a class decorator."""
+    """Class decorator that registers a kind of curve of the film, so that its discontinuities are differentiated."""
     FILM_TERMS.append(term())
     FILM_TERMS.sort(key=lambda other: other.rank)
     return term
@@ -83,7 +83,7 @@ def film_term(term: Term) -> Term:
 
 def lines_in_view(viewed: ExaminedView, lines: Outline | Segments | None, weigh: Callable,
                   place: Callable) -> list[CurvesInView]:
-    """The visible ones of straight curves, as at most one `CurvesInView`.
+    """The total length in view of straight curves, with a function that samples them; none if none is visible.
 
     Args:
         viewed: the view.

@@ -18,7 +18,7 @@ Corners = tuple[Vec3, Vec3, Vec3]
 
 
 class NormalsOnly(NamedTuple):
-    """The one field of `Layout` that geometry needs: whether vertices have shading normals."""
+    """What geometry reads of a scene's layout, its static properties: whether vertices have shading normals."""
 
     shading_normals: bool
 
@@ -32,7 +32,7 @@ class Geometry(NamedTuple):
 
 
 class _ShownBy(NamedTuple):
-    """The instances that show vertices, for functions that expect a `Hit`."""
+    """The instances that show vertices, for functions that read the instance of a ray's hit."""
 
     instance: Tensor  # (N,) int32, as hits count
 
@@ -46,7 +46,7 @@ class Between(NamedTuple):
 
 
 def geometry_of(scene: SceneTensors) -> Geometry:
-    """The `Geometry` of a scene; it has texture coordinates only if these are differentiated."""
+    """The triangles of a scene, as boundary terms read them; with texture coordinates only if these are differentiated."""
     triangles = scene.triangles
     vertices = triangles.vertices._replace(attributes=())
     vertices = vertices if any_differentiated(vertices.uv) else vertices._replace(uv=None)
@@ -56,7 +56,12 @@ def geometry_of(scene: SceneTensors) -> Geometry:
 
 
 def point_at(geometry: Geometry, row: Tensor, instance: Tensor | None) -> Vec3:
-    """The world positions of vertices, given by rows, (N,) int32; attached, float64. `instance`: see `Places`."""
+    """The world positions of vertices, attached, float64.
+
+    Args:
+        row: (N,) int32, rows of the vertex table.
+        instance: (N,) int32, the instances that show them; None: the scene has none.
+    """
     point, = in_world(geometry, (row,), instance)
     return point
 

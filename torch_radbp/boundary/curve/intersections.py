@@ -190,7 +190,7 @@ class Heights(NamedTuple):
 
 
 def planes_of(geometry: Geometry, faces: Faces, pairs: Pairs) -> Planes:
-    """The `Planes` of pairs of triangles, given by row."""
+    """The heights of the corners of each triangle of pairs, given by row, above the plane of the other one."""
     both = rows(faces, pairs.one), rows(faces, pairs.other)
     corners = both[0].corners(geometry), both[1].corners(geometry)
     scale = TOUCHING * torch.stack([column.abs() for corner in corners[0] for column in corner]).amax(0)

@@ -48,7 +48,10 @@ def vertices_on(points: Tensor, ends: Tensor, tolerance: float) -> tuple[Tensor,
 
 def on_edges(points: Tensor, ends: Tensor, own: Tensor, edges: Tensor, first: Tensor, counts: Tensor,
              tolerance: float) -> tuple[Tensor, Tensor, Tensor]:
-    """As `vertices_on`, for some `edges`: each is compared with `counts` of the vertices `own`, from `first` on."""
+    """The vertices on some of the edges: each edge is compared with `counts` of the vertices `own`, from `first` on.
+
+    Result and other args as of `vertices_on`.
+    """
     edge = edges.repeat_interleave(counts)
     place = torch.arange(len(edge), device=edge.device) + (first - (counts.cumsum(0) - counts)).repeat_interleave(counts)
     vertex, (start, end) = own[place], points[ends[:, edge]]

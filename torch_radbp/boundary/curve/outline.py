@@ -90,7 +90,7 @@ class MeshShown(NamedTuple):
         return self.mesh is other.mesh and self.part == other.part and _unchanged(self.chosen, other.chosen)
 
     def outline(self, instanced: bool) -> Outline:
-        """These edges in the world; `instanced`: the scene has instances."""
+        """The edges of the mesh as all chosen instances show them in the world; `instanced`: the scene has instances."""
         outline = self.mesh
         if self.chosen is None:
             return outline._replace(instance=torch.zeros_like(outline.crease)) if instanced else outline
@@ -161,7 +161,7 @@ class Outlines:
         return [found[three] for three in wanted]
 
     def sliding(self, rendering: Rendering, seed: int) -> tuple[Segments | None, LineNumbers | None]:
-        """The segments of texture lines that move over surfaces, and the lines' `LineNumbers`; args as for `of_views`."""
+        """The segments of texture lines that move over surfaces, and the lines' coefficients; args as for `of_views`."""
         names, lines = names_sliding(rendering), lines_on_shapes(rendering)
         numbers = numbers_of(lines, rendering.call) if any(names) else None
         if numbers is None:
@@ -338,14 +338,14 @@ KNOWN: WeakKeyDictionary[Scene, Outlines] = WeakKeyDictionary()
 
 
 def numbers_of(lines: Sequence[tuple[JumpLines, ...]], call: RenderCall) -> LineNumbers | None:
-    """The `LineNumbers` of the lines on each shape, attached; None: no line moves over its surface."""
+    """The coefficients of the texture lines on all shapes, attached; None: no line moves over its surface."""
     every = distinct(lines)
     numbers = line_numbers(every, call.scene.device) if every else None
     return numbers if every and (lines_move(numbers) or any_differentiated(call.scene.triangles.vertices.uv)) else None
 
 
 def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> tuple[int, ...]:
-    """The numbers of moving shapes outside of groups; args as for `Outlines.of`."""
+    """The indices of the moving shapes that stand outside of groups; args as for `Outlines.of`."""
     instances = scene.triangles.casting_instances
     last = sum(counts) if instances is None else instances.first_triangle[0]
     starts = accumulate(counts[:-1], initial=0)
@@ -353,7 +353,7 @@ def in_the_world(scene: SceneTensors, counts: Sequence[int], moving: Moving) -> 
 
 
 def of_group(instances: Instances, counts: Sequence[int], moving: Moving, group: int) -> tuple[tuple[int, ...], bool, bool]:
-    """The numbers of a group's shapes, whether one of these moves, and whether one of its instances does."""
+    """The indices of a group's shapes, whether one of these shapes moves, and whether an instance of the group moves."""
     first, last = instances.first_triangle[group:group + 2]
     members = tuple(number for number, start in enumerate(accumulate(counts[:-1], initial=0)) if first <= start < last)
     shows = slice(*instances.first_instance[group:group + 2])
@@ -374,12 +374,12 @@ def moving_or_sliding(rendering: Rendering) -> Moving | None:
 
 
 def outlines_of(scene: Scene) -> Outlines:
-    """The `Outlines` of a scene, shared by all that render it."""
+    """The object that finds and caches the edges of a scene's meshes, shared by all that render the scene."""
     return KNOWN.setdefault(scene, Outlines())
 
 
 def _unchanged(table: Tensor | None, known: Tensor | None) -> bool:
-    """True if a table, or its absence, is unchanged; compared by identity."""
+    """True if a table has the values that it had, or is missing as it was."""
     return table is known if table is None or known is None else same_values(table, known)
 
 

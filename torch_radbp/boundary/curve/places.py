@@ -94,7 +94,7 @@ class Sight(NamedTuple):
 
 
 def sight_of(view: View, lamps: tuple[Eye, ...]) -> Sight:
-    """The `Sight` of a detached view, with lamps as viewpoints."""
+    """A detached view as stages of boundary terms read it, with lamps as viewpoints."""
     return Sight(view.camera, *known_view(view.camera, view.width, view.height), view.sample_keys[1], lamps)
 
 
@@ -163,7 +163,7 @@ class Lot(NamedTuple):
 
 
 def lot_of(weight: Tensor, count: int, total: Tensor) -> Lot:
-    """The `Lot` for `count` samples from weights, (W,), and their running sum `total`."""
+    """A discrete distribution for `count` stratified samples, from weights, (W,), and their running sum `total`."""
     return Lot(weight, total, total[-1] / count, torch.full((), len(weight) - 1, dtype=torch.int64, device=weight.device))
 
 

@@ -146,7 +146,7 @@ class Rendering:
         return self.known("movers", self.found_movers)
 
     def found_movers(self) -> list[list[str]]:
-        """For each shape, the differentiated parameters that move it; not cached, see `movers`."""
+        """For each shape, the differentiated parameters that move it, found anew; `movers` caches them."""
         of_groups = {group: [name for instance in instances for name in self.moving(instance, MOVE_SHAPES)]
                      for group, instances in self.scene.groups.items()}
         return [[*self.moving(shape, MOVE_SHAPES), *(of_groups[id(instances[0].shapegroup)] if instances else ())]
@@ -174,7 +174,7 @@ class Rendering:
 
     @cached_property
     def plain(self) -> tuple[bool, ...]:
-        """For each shape, whether points may slide over its triangles (plain materials); see `vertex.nearby`."""
+        """For each shape, whether light jumps on it at borders of shadows alone, so that points near a vertex may slide."""
         plain, sizes = self.call.scene.triangles.plain, self.sizes
         if plain is None:
             return (False,) * len(sizes)
@@ -198,7 +198,8 @@ class Rendering:
 
 def rendering_of(call: RenderCall, scene: Scene, sampling: str, cache: PackCache, primary: bool, shadows: bool,
                  max_depth: int, light_paths: str) -> Rendering:
-    """The `Rendering` of a call; boundary terms of edges in view are off if pixels have no area. Args as of `Rendering`.
+    """A call and its settings, as boundary terms and warnings read them. Args as of `Rendering`; `primary`, the terms of
+    edges in view, is off if pixels have no area.
 
     Everything in view of the whole film counts, not only of its window, so that a warning holds for all windows.
     """

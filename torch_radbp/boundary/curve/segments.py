@@ -59,7 +59,7 @@ def joined_segments(parts: list[Segments]) -> Segments | None:
 
 
 def from_everywhere(segments: Segments) -> SeenFrom:
-    """The `SeenFrom` of segments that are visible from all sides."""
+    """The sides from which segments are visible, for segments that are visible from all."""
     none = torch.zeros_like(segments.start.x)
     return SeenFrom(none, none, torch.zeros_like(none, dtype=torch.bool))
 

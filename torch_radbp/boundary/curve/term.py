@@ -52,7 +52,7 @@ TERMS: list[LinesTerm] = []  # in the order in which they are asked
 
 
 def boundary_term(term: Term) -> Term:
-    """Registers a lines term; a class decorator."""
+    """Class decorator that registers a kind of lines on surfaces, so that discontinuities there are differentiated."""
     TERMS.append(term())
     return term
 
@@ -92,7 +92,7 @@ class LineNumbers(NamedTuple):
 
 
 def line_numbers(lines: list[JumpLines], device: torch.device) -> LineNumbers:
-    """The `LineNumbers` of some lines."""
+    """The coefficients x, y and z of lines x u + y v + z = integer as tensors, (R,) float64, attached."""
     x, y = (torch.tensor(column, dtype=torch.float64, device=device) for column in list(zip(*lines))[:2])
     return LineNumbers(x, y, offsets(lines, device))
 

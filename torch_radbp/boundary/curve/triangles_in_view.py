@@ -35,5 +35,8 @@ def is_quick(scene: SceneTensors, paths: int) -> bool:
 
 
 def may_see_ideal_surfaces(view: View, scene: SceneTensors, paths: int) -> bool:
-    """False if no ideal mirror or glass is in view; True if that takes long to tell. Args as of the other functions."""
+    """False if no surface with an ideal lobe, or flagged as of small roughness, is in view; True if that takes long to tell.
+
+    Args as of `may_see` and `is_quick`.
+    """
     return not is_quick(scene, paths) or may_see(view, scene, narrow_triangles(scene))

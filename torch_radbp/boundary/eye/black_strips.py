@@ -36,7 +36,8 @@ KNOWN: WeakKeyDictionary[Scene, KnownStrips] = WeakKeyDictionary()
 
 
 def has_black_strips(call: RenderCall) -> bool:
-    """True if a call's scene has `black_strips`; cached while its triangles and materials are the same.
+    """True if some mirror or glass of a call's scene may have black strips beside its outline; cached while triangles and
+    materials are unchanged.
 
     Args:
         call: detached.

@@ -107,13 +107,13 @@ class MotionFunction(torch.autograd.Function):
 
 
 def attached_geometry(scene: SceneTensors) -> Geometry:
-    """The `Geometry` of an attached scene, in which gradients of many reads are summed."""
+    """The triangles of an attached scene, in tables of which autograd sums the gradients of many look-ups in float64."""
     geometry = geometry_of(scene)
     return geometry if has_tangents(geometry) else summed(geometry)
 
 
 def swept_areas(seen: Vec2, normal: Vec2) -> Tensor:
-    """(K,) zeros, attached: the areas that pieces of curves sweep when they move.
+    """(K,) zeros whose derivatives are those of the areas that pieces of curves sweep when they move.
 
     Args:
         seen: (K,) positions of the pieces, attached.

@@ -73,7 +73,10 @@ def path_difference(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: 
 
 def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: Pairing,
                    depths: tuple[Tensor, ...]) -> Difference:
-    """`path_difference`, computed vertex by vertex; `depths`: the numbers of the vertices as tensors."""
+    """The first vertex at which the two paths of each pair differ, and in what, found vertex by vertex.
+
+    Args as for `path_difference`; `depths`: the numbers of the vertices as tensors.
+    """
     found, whole = stages(unparted)(pairs), None
     for depth, vertices in zip(depths, path):
         found = stages(parted)(surfaces, vertices, pairs, found, depth)
@@ -86,7 +89,7 @@ def depth_by_depth(stages: Stages, surfaces: Surfaces, path: IdealPath, pairs: P
 
 @stage()
 def unparted(pairs: Pairing) -> Difference:
-    """The initial `Difference` of pairs: none yet."""
+    """The state of pairs of paths before any vertices are compared: no difference yet."""
     nothing = torch.zeros_like(pairs.first, dtype=torch.int32)
     return Difference(nothing, nothing, torch.zeros_like(nothing, dtype=torch.float64),
                       torch.ones_like(nothing, dtype=torch.bool))
@@ -94,7 +97,7 @@ def unparted(pairs: Pairing) -> Difference:
 
 @stage("surfaces", "vertices")
 def parted(surfaces: Surfaces, vertices: Vertices, pairs: Pairing, so_far: Difference, number: Tensor) -> Difference:
-    """The `Difference` of pairs of paths after one more vertex is compared.
+    """The first differences of pairs of paths after one more vertex is compared.
 
     Args:
         surfaces: of the scene.
@@ -147,8 +150,10 @@ def part_of_one(surfaces: Surfaces, one: Reached, other: Reached) -> Tensor:
 
 
 def how_bent(surfaces: Surfaces, one: Reached, other: Reached) -> tuple[Tensor, Tensor]:
-    """Whether neighbouring rays surely hit different surfaces; and BEND times the sine of the surface's bend between;
-    (N,)."""
+    """Whether neighbouring rays surely hit different surfaces, and how bent the surface is from hit to hit; (N,) each.
+
+    The latter is BEND times the sine of the greater angle between the line that joins the hits and the triangles there.
+    """
     way = point_met(other) - point_met(one)
     length = torch.sqrt(dot(way, way)).clamp_min(TINY)
     bend = torch.zeros_like(length)

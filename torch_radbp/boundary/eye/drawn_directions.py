@@ -55,7 +55,7 @@ class Drawn(NamedTuple):
 
 
 class Scatterers(NamedTuple):
-    """The vertices whose material is of one kind, and their surface points."""
+    """The path vertices on surfaces of one kind of material, with their surface points."""
 
     lanes: Tensor  # (M,) int64
     material: Material

@@ -36,7 +36,7 @@ SALT = 0x3C9A5B71  # tells the random numbers of the first from others
 
 
 def eyes_for_each(outline: Outline, eyes: Eyes, looks: int) -> int:
-    """The number of viewpoints from which each edge is tested, for the cost of tree descents; 0: too few to do so."""
+    """The number of viewpoints from which each edge can be tested at the cost of descents of a tree; 0: too few to do so."""
     count = len(eyes.w)
     each = min(count, looks * GROUP * count // len(outline.crease))
     return each if each >= min(FEWEST, count) else 0

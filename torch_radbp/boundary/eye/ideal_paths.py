@@ -30,7 +30,7 @@ GRAZING = 1e-3  # sine of the angle between surface and light up to which the la
 
 
 class Vertices(NamedTuple):
-    """One vertex of each of N paths, after the same number of ideal vertices."""
+    """One vertex of each of N paths, behind the same number of vertices at ideal mirrors and glass."""
 
     place: Tensor  # (N,) int32, index of the path among the M that come so far; -1: it ends before
     met: Reached

@@ -131,7 +131,7 @@ def scattered_ideally(pdf: Tensor, survives: Tensor, beta: Vec3) -> Tensor:
 
 @stage("surfaces")
 def ideal_vertex(surfaces: Surfaces, ray: Ray, beta: Vec3, cone: Cone | None, hit: Hit, onwards: Vec3) -> Reached:
-    """The hits of rays with flags of side and ideal scattering, and the texture cells hit, as a `Reached` record, (N,).
+    """The hits of rays, (N,), with flags of side and ideal scattering, and the cells between texture lines that are hit.
 
     Args:
         surfaces: of the scene.

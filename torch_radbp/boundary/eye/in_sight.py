@@ -162,12 +162,17 @@ def came_by(places: Places, sent: Sent, known: Tensor, rays: tuple[Tensor, ...])
 
 
 def _goes_on(kind: Tensor) -> Tensor:
-    """True for kinds of curves on both sides of which the same or a touching surface is seen."""
+    """True for kinds of curves on both sides of which the same surface, or one that touches it, is seen; (N,) bool."""
     return (kind == CREASE) | (kind >= TEXTURE)
 
 
 def missed(places: Places, distance: Tensor) -> Tensor:
-    """(N,) the distance by which rays may miss samples, in units of the usual error; `distance` (N,) of the samples."""
+    """(N,) the distance by which rounding may let rays miss samples, in units of the usual error of float32.
+
+    Args:
+        places: the samples.
+        distance: (N,) their distances from the rays' origins.
+    """
     return apart_at(places.p, distance) / (USUAL * distance.clamp_min(TINY))
 
 

@@ -101,7 +101,7 @@ def aims_at(scene: SceneTensors, p: Vec3, draw: LightDraw) -> Aims:
 
 
 def line_of(aims: Aims, p: Vec3) -> tuple[Vec3, Vec3, Tensor]:
-    """The results of `light_line` from `Aims`, the light samples as seen from p."""
+    """The lines along which the light of samples passes p, as of `light_line`; `aims`: the samples as seen from p."""
     parallel = among(aims.cases, [case.kind.parallel for case in aims.cases], aims.element)
     target, towards = (aims(name) for name in ("target", "d"))
     target = p if target is None else target.map(torch.Tensor.double)

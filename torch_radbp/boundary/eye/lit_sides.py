@@ -27,7 +27,7 @@ from torch_radbp.tensors.vec import Vec2, interpolated, rows
 
 
 def motion_of_surface(call: RenderCall, number: int, geometry: Geometry, hit: Hit, aperture: Vec2 | None) -> Vec2:
-    """(N,) zeros, attached: the motion on the film of view `number`, in pixels, of hit points that are fixed to surfaces."""
+    """(N,) zeros whose derivatives are those of the film positions, in pixels, of hit points that are fixed to surfaces."""
     at = interpolated(corners_of(geometry, hit), hit.u.double(), hit.v.double())
     return Vec2(*(part - primal(part) for part in on_film(call.views[number].camera, at, aperture)))
 

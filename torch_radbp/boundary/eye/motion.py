@@ -36,7 +36,7 @@ class JumpPlaces(NamedTuple):
 
 
 def moved_places(stages: Stages, geometry: Geometry, camera: Camera, jumps: JumpPlaces, taped: bool) -> Tensor:
-    """(K,) float64 zeros, attached: the areas that the curves sweep at samples.
+    """(K,) float64 zeros whose derivatives are those of the areas that the curves sweep on the film at samples.
 
     Args:
         stages: of the call.
@@ -71,7 +71,7 @@ def scaled_slopes(slopes: tuple[Tensor, ...], by_area: Tensor) -> tuple[Tensor, 
 
 @stage("geometry", "camera", "places")
 def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Tensor:
-    """(K,) zeros, attached: the areas of the film, in pixels, that pieces of curves sweep.
+    """(K,) zeros whose derivatives are those of the areas of the film, in pixels, that pieces of curves sweep.
 
     Args:
         geometry: of the scene, attached.
@@ -85,7 +85,9 @@ def swept(geometry: Geometry, camera: Camera, places: Places, chosen: Tensor, ki
 
 
 def signed_area(geometry: Geometry, camera: Camera, places: Places, kinds: tuple[int, ...]) -> Tensor:
-    """The swept areas of samples up to a constant, (N,) attached; see `swept`."""
+    """The areas that pieces of curves sweep, up to constants, (N,) attached: film position along the piece's normal, and
+    level. Args as for `swept`.
+    """
     seen = camera.kind.project(camera.lens, places.at(geometry), places.aperture)
     area = seen.x * camera.film.size_x * places.normal.x + seen.y * camera.film.size_y * places.normal.y
     for kind in kinds:
@@ -106,7 +108,7 @@ class Slopes(NamedTuple):
 @stage("geometry", "camera", "places")
 def slopes(geometry: Geometry, camera: Camera, wanted: tuple[bool, ...], wanted_of_camera: tuple[bool, ...],
            places: Places, chosen: Tensor, kinds: tuple[int, ...]) -> Slopes:
-    """The derivatives of the areas that `swept` computes.
+    """The derivatives of the areas that pieces of curves sweep on the film, by what geometry and camera hold.
 
     Args:
         geometry, camera: detached; the rest as for `swept`.

@@ -143,8 +143,10 @@ class RayFunction(torch.autograd.Function):
 
 
 def rays_along(integrand: Integrand, start: PathState, depth: Tensor, met: Hit, scene: SceneTensors) -> Ray:
-    """The rays that reach the vertices of paths at given depths, with all derivatives, for the backward pass alone: what
-    `adjoint.attached.rays_reaching` records it computes from the vertices' own states.
+    """The rays that reach the vertices of paths at given depths, with all derivatives, for the backward pass alone.
+
+    Autograd records one operation, which traces the vertices again, instead of each of them as
+    `adjoint.attached.rays_reaching` does.
 
     Args:
         integrand: with a detached scene.

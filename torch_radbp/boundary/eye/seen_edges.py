@@ -79,14 +79,15 @@ def angle_seen(geometry: Geometry, outline: Outline, edge: Tensor, eye: Eyes, ex
 
 
 def angle_of_edge(geometry: Geometry, slot: EdgeSlots, eye: Eyes, extent: Tensor) -> Tensor:
-    """The weighted angles that silhouette edges `slot`, (N,), subtend, see `angle_seen`."""
+    """The angles that silhouettes among the edges `slot`, (N,), subtend, times the weight of directions, as `angle_seen`."""
     a, b, *opposite = in_world(geometry, slot.vertices, slot.instance)
     silhouette = is_silhouette(a, b, opposite, a * eye.w - eye.place)
     return torch.where((slot.edge >= 0) & silhouette, angle_of(a, b, eye, extent), 0.0)
 
 
 def angle_of(a: Vec3, b: Vec3, eye: Eyes, extent: Tensor) -> Tensor:
-    """The weighted angles that segments from a to b subtend from viewpoints, (N,), see `angle_seen`."""
+    """The angles that segments from a to b subtend from viewpoints, times the weight of directions, (N,); `angle_seen` has
+    them for silhouettes alone."""
     from_a, from_b = (end * eye.w - eye.place for end in (a, b))
     to_a, to_b, across = normalize(from_a), normalize(from_b), cross(b - a, eye.place)
     apart = to_a - to_b
@@ -186,7 +187,7 @@ def evenly_seen(a: Vec3, b: Vec3, turn: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def density_seen(a: Vec3, b: Vec3, along: Tensor) -> Tensor:
-    """The densities with which `evenly_seen` yields positions along segments, (N,)."""
+    """The densities of positions along segments that are sampled evenly in the angle seen from the origin, (N,)."""
     p, normal = a + (b - a) * along, cross(a, b)
     angle, squared = angle_between(normalize(a), normalize(b)), dot(normal, normal)
     return torch.where(squared > 0.0, torch.sqrt(squared) / (dot(p, p) * angle).clamp_min(TINY), 1.0)
@@ -217,7 +218,8 @@ def places_seen(stages: Stages, geometry: Geometry, casting: Casting, eyes: Eyes
 
 def places_on(stages: Stages, geometry: Geometry, outline: Outline, eyes: Eyes, seed: SampleKey,
               found: tuple[EdgeLot, Tensor] | None) -> Passed | None:
-    """Samples points on edges that `lot_of_found` has selected; None: there are none. Other args as for `places_seen`."""
+    """Samples points on the edges that viewpoints have found; None: there are none. `found`: from `lot_of_found`; other args
+    as for `places_seen`."""
     if found is None:
         return None
     return stages(edge_passed)(geometry, outline, eyes, found[0], seed, extent_of(geometry), found[1])
@@ -274,7 +276,7 @@ class Course(NamedTuple):
 
 
 def course_of(seen: Callable[..., Vec2], times: Tensor, off: Vec3) -> Course:
-    """The `Course` of borders, from a function that gives their points.
+    """The positions and normals of borders at samples, and the areas that they sweep, from a function of their points.
 
     Args:
         seen: returns positions for args `step` and `off`, as of `border.border`.

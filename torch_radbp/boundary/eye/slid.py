@@ -54,7 +54,8 @@ def what_slides(call: RenderCall, number: int, geometry: Geometry, points: Viewp
 
 
 def share_of_slide(geometry: Geometry, standing: Hit, start: Vec3, met: Hit, place: Vec2) -> tuple[Tensor, Vec3]:
-    """The share of sliding of points, (N,), and the unit directions to them from the viewpoints; detached.
+    """The share by which points slide, 0 if fixed to the triangle and 1 if seen in a fixed direction, (N,), and the unit
+    directions to them from the viewpoints; detached.
 
     Args:
         standing: the triangles of the viewpoints, at positions `start`; -1: in a medium.

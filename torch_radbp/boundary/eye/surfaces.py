@@ -27,8 +27,10 @@ from torch_radbp.tensors.vec import Vec3, interpolated
 
 
 class LineTable(NamedTuple):
-    """The texture lines of K shapes, S each, as of `JumpLines`; (K S,) float64: the first of each shape, then the second,
-    ..."""
+    """The lines x u + y v + z = integer at which textures of K shapes jump, from a `first` integer to a `last` one.
+
+    S of them for each shape, in (K S,) float64 tensors: the first of each shape, then the second, ...
+    """
 
     x: Tensor
     y: Tensor
@@ -73,7 +75,9 @@ KNOWN: WeakKeyDictionary[Scene, CachedSmoothParts] = WeakKeyDictionary()
 
 
 def surfaces_of(call: RenderCall, meshes: list[Outline], lines: LineTable | None) -> Surfaces:
-    """The `Surfaces` of a call's scene; smooth parts are cached while the same edges are smooth, even if vertices move.
+    """The triangles, smooth parts and texture lines of a call's scene, for searches.
+
+    Smooth parts are cached while the same edges are smooth, even if vertices move.
 
     Args:
         call: detached.

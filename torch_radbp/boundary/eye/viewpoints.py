@@ -130,7 +130,7 @@ class Picked(NamedTuple):
 
 
 class PathsAtBounce(NamedTuple):
-    """The paths at a bounce, with parts of `Step` and `Onward`."""
+    """N paths at a bounce: what their rays hit, which of them are scattered on there, and in what state."""
 
     state: PathState  # (N,)
     hit: Hit  # (N,)
@@ -240,7 +240,7 @@ def picked_vertices(integrand: Integrand, start: PathState, key: SampleKey, foll
 @stage("picked", "reached")
 def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: SampleKey, counter: Tensor,
                   settings: tuple[bool, float]) -> tuple[Tensor, Picked]:
-    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the selection.
+    """Reservoir sampling: updates the selected vertex of N paths by one bounce; returns the paths, int32, and the vertices.
 
     Args:
         picked: the selection of all paths.
@@ -270,7 +270,7 @@ def picked_vertex(picked: Picked, reached: PathsAtBounce, vertex: Tensor, key: S
 
 
 def flown(step: Step) -> tuple[Flight | None, Hit | None]:
-    """How far the rays of a bounce come through media, and the last boundary that each passes, as in `Viewpoints`."""
+    """How far the rays of a bounce come through media, and the last boundary of a medium that each passes, as a hit."""
     flight = step.flight
     if flight is None or flight.crossings is None:
         return flight, None
@@ -281,7 +281,7 @@ def flown(step: Step) -> tuple[Flight | None, Hit | None]:
 
 
 def hits_plain(geometry: Geometry, hit: Hit) -> Tensor:
-    """(N,) bool: hits on triangles of plain materials, over which points may slide; see `vertex.nearby`."""
+    """(N,) bool: hits on triangles where light jumps at borders of shadows alone, so that points near a vertex may slide."""
     return (hit.prim >= 0) & lookup(geometry.triangles.plain, hit.prim.clamp_min(0))
 
 
@@ -296,7 +296,8 @@ def scatters_as(integrand: Integrand, event: Event, following: bool) -> bool:
 
 
 def eyes_at(geometry: Geometry, points: Viewpoints, at: Vec3, lobes: tuple[Lobe, ...] = ()) -> Eyes:
-    """The viewpoints at positions `at`, (M,) world, as `Eyes` that prefer the BSDF's directions and those of `lobes`."""
+    """The path vertices at positions `at`, (M,) world, as viewpoints that see more edges in the directions of their BSDFs
+    and of `lobes`."""
     one, corners = torch.ones_like(at.x), corners_of(geometry, points.hit)
     normal = masked(~points.in_medium, unit_normal(corners[1] - corners[0], corners[2] - corners[0]))
     return Eyes(at, one, normal, one, torch.where(points.in_medium, 1.0, EVEN * one), (points.lobe, *lobes))

@@ -224,7 +224,7 @@ def border_on_film(scene: SceneTensors, geometry: Geometry, outline: Outline, ca
 @stage("scene", "geometry", "outline", "camera")
 def border_course(scene: SceneTensors, geometry: Geometry, outline: Outline, camera: Camera, borders: Borders,
                   inwards: Vec3, times: Tensor, aperture: Vec2 | None) -> tuple[Vec3, Course]:
-    """The points of shadow borders, world, and the borders' `Course` on the film, with normals 0 outside of all pixels.
+    """The points of shadow borders, world; and their film positions and normals, 0 outside of all pixels, and areas swept.
 
     Args:
         scene, geometry, outline, borders: as for `border`, detached.

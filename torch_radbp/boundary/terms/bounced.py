@@ -158,7 +158,7 @@ class Way(NamedTuple):
     distance: Tensor  # float64
 
     def meets(self, borders: Borders) -> Hit:
-        """The receivers of shadow borders, as hits of these rays."""
+        """The triangles on which shadow borders lie, as hits of the rays that connect path vertices to them."""
         return borders.receiver._replace(t=self.distance.to(self.ray.d.x.dtype))
 
 

@@ -23,7 +23,9 @@ class Lights(NamedTuple):
 
     @staticmethod
     def covered(call: RenderCall) -> Lights:
-        """The lights whose shadow borders `DirectShadows` samples; none if pixels have no area."""
+        """The lights whose shadow borders on surfaces that the camera sees are sampled (by `DirectShadows`); none if pixels
+        have no area.
+        """
         if not films_have_area(call):
             return Lights(False, False, False)
         lights = Lights.sampled_whole(call)
@@ -32,7 +34,7 @@ class Lights(NamedTuple):
 
     @staticmethod
     def bounced(call: RenderCall) -> Lights:
-        """The lights whose shadow borders `BouncedShadows` samples, at random path vertices after the first.
+        """The lights whose shadow borders are sampled (by `BouncedShadows`) at random path vertices after the first.
 
         For environments, and for lamps behind boundaries of media, edges are better sampled from path vertices.
         """
@@ -57,7 +59,7 @@ class Lights(NamedTuple):
 
     @staticmethod
     def with_shafts(call: RenderCall) -> Lights:
-        """The lights whose shafts in media `Shafts` samples; if pixels have no area, only those without extent."""
+        """The lights whose shafts in media, borders of shadow there, are sampled; only sharp ones if pixels have no area."""
         lights = Lights.sampled_whole(call)
         return lights if films_have_area(call) else lights._replace(soft=False, around=False)
 
@@ -74,7 +76,7 @@ class Lights(NamedTuple):
 
     @staticmethod
     def uncovered(call: RenderCall) -> Lights:
-        """The lights of some extent whose shadow borders `DirectShadows` does not sample."""
+        """The lights of some extent whose shadow borders are not sampled on surfaces that the camera sees."""
         covered = Lights.covered(call)
         return Lights(False, not covered.soft, not covered.around)
 

@@ -88,7 +88,7 @@ def curve_crossings(searched: Searched, scans: Scans, lot: int) -> Crossings | N
 
 def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
                         turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Divides only the steps that cross a horizon, outline or rim of an ideal surface; otherwise as `divided`."""
+    """Divides, as `divided` does, the steps that cross a horizon, outline or rim of an ideal surface; keeps the others."""
     (first, second), _, found = pairs
     begin = begins(path)
     outline = ((found.kind == SURFACE) | (found.kind == RIM)) & (found.depth == 0) & (begin[first] | begin[second])
@@ -101,7 +101,7 @@ def divided_at_outlines(searched: Searched, points: FilmPoints, path: IdealPath,
 
 
 def draws(searched: Searched, count: int, turn: int) -> Tensor:
-    """Uniform random numbers for bisections, (count,) float64, different in each turn."""
+    """Uniform random numbers, (count,) float64, for one round of the bisection of steps; different in each `turn`."""
     lane = torch.arange(count, dtype=torch.int32, device=searched.call.scene.device)
     key = salted(searched.call.views[searched.number], SALT + 2)
     return searched.call.stages(drawn_by_steps)(key, lane, torch.full_like(key.seed, SALT + turn))
@@ -121,7 +121,8 @@ def drawn_by_steps(key: SampleKey, lane: Tensor, counter: Tensor) -> Tensor:
 
 def divided(searched: Searched, points: FilmPoints, path: IdealPath, pairs: ScanSteps,
             turn: int) -> tuple[FilmPoints, IdealPath, ScanSteps]:
-    """Replaces each step whose ends differ with a random part whose ends differ; returns points, paths and steps."""
+    """One round of bisection: each step, at whose ends paths see different things, is replaced with a part of it, picked at
+    random among those of which that is true, too; returns points, paths and steps."""
     count, (first, second) = len(pairs.times), pairs.ends
     low, high = rows(points.film, first), rows(points.film, second)
     shares = [part / PARTS for part in range(1, PARTS)]

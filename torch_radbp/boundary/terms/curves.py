@@ -157,7 +157,7 @@ def side_between(geometry: Geometry, continues: Tensor, ray: Ray, other_ray: Ray
 
 @stage("geometry", "continues")
 def walked(geometry: Geometry, continues: Tensor, walk: SideWalk) -> SideWalk:
-    """One step of a walk: across the side that is nearest to the ray, if the surface goes on there."""
+    """One step of a walk over triangles: across the side nearest to the ray that misses, if the surface goes on there."""
     around = _sides_of(geometry, continues, [walk.one, walk.other], walk.prim, walk.instance, walk.beyond)
     best, beside = nearest_of([walk.best, *around]), torch.full_like(walk.prim, -1)
     nearest = torch.full_like(walk.best.off, torch.inf)
@@ -196,7 +196,8 @@ def nearest_of(sides: list[SeenSide]) -> SeenSide:
 
 
 def passes_near(rays: list[Ray], off: Tensor, reach: Tensor) -> Tensor:
-    """(N,) bool: what lies `off` the first of two neighbouring rays, at distance `reach`, may be between the two."""
+    """(N,) bool: something at the distance `off` from the first of two neighbouring rays, `reach` from its origin, may lie
+    between the two."""
     apart = rays[1].o + rays[1].d * reach - rays[0].o - rays[0].d * reach
     return off <= OFF * torch.sqrt(dot(apart, apart)) + ROUNDED * reach
 

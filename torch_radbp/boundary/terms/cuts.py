@@ -53,7 +53,7 @@ class CutsOfView(NamedTuple):
     sweep: Tensor  # as of `shadow_term.CutOff`
 
     def independent(self) -> Tensor:
-        """The image changes in independent parts, one for each path, see `split.SampledIntegral`."""
+        """(3, P) changes of the image if all edges move alike, one for each path, so that they are independent."""
         _, path = self.cuts.viewpoint.unique(return_inverse=True)
         return self.strength.new_zeros(3, int(path.max()) + 1).index_add(1, path, self.strength * self.sweep)
 
@@ -120,7 +120,7 @@ def cut_at(geometry: Geometry, outline: Outline, vertices: Vec3, cuts: Cuts, ste
 
 @stage("geometry", "outline", "at")
 def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, hit: Hit, extent: Tensor) -> CutCourse:
-    """The `CutCourse` of borders on the surfaces beyond edges.
+    """The normals of borders on the surfaces beyond edges, where light ends that these occlude, and the areas swept.
 
     Args:
         geometry: of the scene, detached.
@@ -139,7 +139,9 @@ def cut_course(geometry: Geometry, outline: Outline, at: Vec3, passed: Passed, h
 
 def all_cuts(stages: Stages, geometry: Geometry, casting: Casting, points: Viewpoints, at: Vec3, passed: Passed, hit: Hit,
              light: Callable[[Cuts], Tensor]) -> CutsOfView:
-    """Samples of edges as `CutsOfView`, those that occlude no light included.
+    """Samples of edges with the light that they occlude from path vertices, and how its borders move.
+
+    Those that occlude no light are included.
 
     Args:
         stages, geometry, casting: as for `places_seen`.
@@ -168,7 +170,7 @@ def matter(found: CutsOfView) -> Tensor:
 
 
 def some_cuts(found: CutsOfView, kept: Tensor) -> CutsOfView:
-    """Selects samples by index; all viewpoints are kept."""
+    """Selects samples of edges that occlude light by index; the viewpoints of all are kept."""
     return found._replace(cuts=rows(found.cuts, kept), normal=rows(found.normal, kept), strength=found.strength[:, kept],
                           sweep=found.sweep[kept])
 

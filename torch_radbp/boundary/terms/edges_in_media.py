@@ -8,7 +8,8 @@ from torch_radbp.boundary.terms.call_traits import follows, follows_mirrors, glu
 
 
 def left_out_in_media(rendering: Rendering) -> list[str]:
-    """What derivatives lack in media that scatter, or whose boundaries rays pass, in words; empty if there are none."""
+    """The edges and shadows, in words, that derivatives lack in scenes with media that scatter or whose boundaries rays
+    pass; empty without such media."""
     call, layout = rendering.call, rendering.call.scene.layout
     later, segments = rendering.max_depth > 1, layout.traces_segments
     if not segments and not (layout.scattering_media and later):

@@ -174,7 +174,10 @@ def cuts_of_view(call: RenderCall, number: int, casting: Casting, amount: Amount
 
 def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, looks: EdgeSightings,
                   counted: Straight) -> CutsOfView | None:
-    """The samples of `looks` at which edges occlude light; None: there are none. Args as for `looks_at_edges`."""
+    """The samples of edges that path vertices see, `looks`, at which an edge occludes light; None: there are none.
+
+    Other args as for `looks_at_edges`.
+    """
     geometry, (points, at, passed) = geometry_of(call.scene), looks
     layout, alone = call.scene.layout, torch.zeros_like(passed.edge, dtype=torch.bool)
     if layout.scattering_media or layout.emitting_media:
@@ -190,7 +193,7 @@ def cuts_of_looks(call: RenderCall, integrand: Integrand, casting: Casting, look
 
 
 def fewer(found: CutsOfView, key: SampleKey, begun: int, most: int) -> CutsOfView:
-    """Thins the samples of one round of paths to about `most`, reweighted to stand for all; see `eye/thinning.py`.
+    """Thins the samples of one round of paths at random to about `most`, reweighted so that they stand for all.
 
     Args:
         key: of random numbers.
@@ -236,7 +239,7 @@ def looks_at_edges(call: RenderCall, number: int, integrand: Integrand, casting:
 
 
 def wider(call: RenderCall, batch: PathBatch, counted: Straight) -> PathBatch:
-    """A larger batch of paths, to be thinned by `wanted`, if only vertices behind mirrors and glass see lamps."""
+    """A larger batch of paths where only vertices behind mirrors and glass see lamps; `wanted` thins their vertices."""
     narrow = any(look.kind.delta for look in call.scene.layout.appearances)
     if counted.by_chance.soft or not narrow:
         return batch
@@ -294,7 +297,7 @@ def on_no_surface(outline: Outline, edge: Tensor) -> Tensor:
 
 def light_beyond(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed, past: PastEdges,
                  counted: Straight, free: Tensor) -> Tensor:
-    """(3, N) float64 light beyond edges that reaches the view, per unit of `cut_at`'s coordinates.
+    """(3, N) float64 light beyond edges that reaches the view, per unit of the coordinates in which borders move (`cut_at`).
 
     Args:
         points, at: the viewpoints, and their positions.

@@ -42,7 +42,7 @@ class EdgesFromLights:
         self.last: tuple[tuple, LitEdges | None] | None = None  # what was asked for last, and the samples
 
     def lit(self, number: int, lights: Lights, share: int) -> LitEdges | None:
-        """The samples of `lit_edges`, cached; args and result as there."""
+        """Samples on silhouette edges as light samples see them, cached; args and result as of `lit_edges`."""
         asked = number, share, [lights.covers(kind) for kind in self.call.scene.layout.lights]
         if self.last is None or self.last[0] != asked:
             self.last = asked, lit_edges(self.call, number, self.casting, lights, share)

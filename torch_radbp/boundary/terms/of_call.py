@@ -39,8 +39,8 @@ class EdgesOfCall(NamedTuple):
     lamps_in_mirrors: bool = False  # edges of lamps that surfaces see there move, which no term has
 
     def added_to(self, images: Tensor, call: RenderCall, interior: bool) -> Tensor:
-        """The images, (B, 3, H, W), with the derivatives of all boundary terms; `interior`: and with those that they have
-        already."""
+        """The images, (B, 3, H, W), with the derivatives of all boundary terms; `interior`: in addition to those that the
+        images carry, which are dropped otherwise."""
         images = images if interior else primal(images)
         if self.in_view is not None:
             images = images + image_jumps(call, self.in_view)

@@ -144,7 +144,7 @@ def _jumps_in_view(call: RenderCall, searched: Searched, integrand: Integrand, r
 
 
 def moved(call: RenderCall, searched: Searched, found: CurveCrossings, lines: LineTable | None) -> Tensor:
-    """(K,) float64 zeros, attached: the change of curves' level functions at fixed points of the film; args as of
+    """(K,) float64 zeros whose derivatives are those of the curves' level functions at fixed points of the film; args as of
     `_jumps_in_view`; `lines`: of surfaces, attached."""
     crossed, curves, follows, _ = found
     view, draw = call.views[searched.number], draw_of(crossed)
@@ -238,7 +238,7 @@ def radiance_lost(searched: Searched, integrand: Integrand, crossed: Crossings) 
 
 
 def how_levels_follow(searched: Searched, integrand: Integrand, crossed: Crossings, curves: Curves) -> Follows:
-    """The derivatives of the crossed curves' level functions by the rays of the camera paths that see them."""
+    """The derivatives of the crossed curves' level functions by the rays that see the curves, and by the camera rays."""
     call, integrand = searched.call, follows_chains(integrand)
     sample = camera_sample(call, call.views[searched.number], crossed.low, crossed.aperture, crossed.key)
     chains = chains_of(integrand, started(call, sample), crossed.depth)

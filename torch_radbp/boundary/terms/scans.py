@@ -80,7 +80,7 @@ def paths_from(searched: Searched, points: FilmPoints) -> IdealPath:
 
 
 def parting(searched: Searched, path: IdealPath, pairs: Pairing) -> Difference:
-    """The first differences of the camera paths of pairs, see `path_difference`."""
+    """The first vertex at which the two camera paths of each pair differ, and in what."""
     return path_difference(searched.call.stages, searched.tables, path, pairs)
 
 
@@ -140,7 +140,7 @@ def turns_of(call: RenderCall) -> int:
 
 
 def turns_together(corners: int, turns: int) -> int:
-    """In how many turns paths from so many corners are looked at together."""
+    """The number of turns, each a path from every corner of the pixels, that are traced together for so many corners."""
     return max(1, min(turns, CORNERS // corners))
 
 
@@ -171,8 +171,18 @@ def looks_of_corners(looks: LightLooks | None, turns: int, some: range, count: i
 
 
 def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLooks | None) -> tuple[Tensor, Tensor]:
-    """Traces a path per pixel corner in each of some turns: (R, C) float64 the greatest likelihood of a jump in the pixel,
-    (R + 1, C + 1) bool ideal hits of any. `looks`: of all corners, turn by turn."""
+    """Traces a path from each pixel corner in each of some turns, and compares those of neighbouring corners.
+
+    Args:
+        searched: the view.
+        turns: the numbers of the turns.
+        film: the positions of the corners.
+        looks: the light samples of all corners, turn by turn; None: there are none.
+
+    Returns:
+        (R, C) float64, the greatest likelihood in any turn that the image jumps in the pixel; and (R + 1, C + 1) bool:
+        a path from the corner hits an ideal surface.
+    """
     call, count = searched.call, len(film.x)
     view, device = call.views[searched.number], call.scene.device
     width, height = view.grid.columns + 1, view.grid.rows + 1
@@ -200,7 +210,8 @@ def corner_passes(searched: Searched, turns: range, film: Vec2, looks: LightLook
 
 
 def points_of(scans: Scans) -> FilmPoints:
-    """The points of scans: those of all horizontal scans from left to right, M each, then those of the vertical ones."""
+    """The points on the film at which scans look: M of each step of the horizontal scans, from left to right, then of the
+    vertical ones, downwards."""
     shares = [step / STEPS for step in range(STEPS + 1)]
     x = [scans.column + share for share in shares] + [scans.column + scans.at.x] * len(shares)
     y = [scans.row + scans.at.y] * len(shares) + [scans.row + share for share in shares]

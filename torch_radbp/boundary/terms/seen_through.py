@@ -146,7 +146,8 @@ def lets_pass(integrand: Integrand, ray: Ray, hit: Hit) -> Tensor:
 
 def _difference(call: RenderCall, integrand: Integrand, points: Viewpoints, at: Vec3, passed: Passed,
                 ways: Sequence[Through]) -> Tensor:
-    """(3, N) float64, the light beside edges less that on them that reaches the view, per unit of `cut_at`'s coordinates.
+    """(3, N) float64, the light beside edges less that on them that reaches the view, per unit of the coordinates in which
+    borders move (`cut_at`).
 
     Args:
         points, at: the viewpoints, of which `passed.eye` are used, and their positions.

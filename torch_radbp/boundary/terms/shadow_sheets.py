@@ -35,7 +35,7 @@ class SheetPoints(NamedTuple):
     share: Tensor  # (N,) float64, k
 
     def at(self, scene: SceneTensors, geometry: Geometry, outline: Outline, step: float = 0.0) -> Vec3:
-        """Their positions, (N,) world, attached; `step`: a shift along the edges, as a share of their lengths."""
+        """The positions of the points, (N,) world, attached; `step`: a shift along the edges, a share of their lengths."""
         start, d, _ = light_line(scene, point_of_edge(geometry, outline, self.edge, self.along + step), self.draw)
         return start + d * self.share
 

@@ -59,12 +59,12 @@ class CutOff(NamedTuple):
     sweep: Tensor | None = None  # (K,) swept area if all edges move by an equal step; None: unknown
 
     def independent(self) -> Tensor:
-        """The image changes in independent parts, here single samples; see `split.SampledIntegral`."""
+        """(3, K) changes of the image if all edges move alike, one for each sample, so that they are independent."""
         return self.strength * self.sweep
 
 
 def cut_off(place: Vec2, course: Course, light: Tensor, samples: Any) -> CutOff | None:
-    """The `CutOff` of those samples at which there is any light; None: there are none.
+    """Samples on borders of light, without those at which there is none; None: all are.
 
     Args:
         place, samples: as of `CutOff`.
@@ -136,7 +136,7 @@ SHADOW_TERMS: list[type[ShadowTerm]] = []
 
 
 def shadow_term(term: Term) -> Term:
-    """Registers a shadow term; a class decorator."""
+    """Class decorator that registers a boundary term of shadows, so that derivatives include it."""
     SHADOW_TERMS.append(term)
     SHADOW_TERMS.sort(key=lambda other: other.rank)
     return term

@@ -208,7 +208,13 @@ def seen_by_vertices(edges: EdgesFromLights, number: int) -> ShaftsInView | None
 
 def lit_ones(place: Vec2, strength: Tensor, sheets: SampledSheets, lit: LitInMedium,
              seen_from: SeenFromCamera | SeenFromVertices) -> ShaftsInView | None:
-    """The `ShaftsInView` of those points in media at which light is seen, None if none; args as of `ShaftsInView`."""
+    """Keeps the points on sheets between light and shadow at which the view sees light; None: there are none.
+
+    Args:
+        place, strength, seen_from: as of `ShaftsInView`, for N points.
+        sheets: the points.
+        lit: the light that the medium scatters there.
+    """
     kept = ((strength != 0) & torch.isfinite(strength)).any(0).nonzero().squeeze(1)
     place, area, points, ways, seen_from = rows((place, sheets.area, sheets.points, lit[1:], seen_from), kept)
     lit = LitInMedium(lit.light[:, kept], *ways)

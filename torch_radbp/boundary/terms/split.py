@@ -34,7 +34,7 @@ class SampledIntegral(Protocol):
     """The interface of the samples of one boundary integral."""
 
     def independent(self) -> Tensor:
-        """(3, N) changes of the image if all edges move alike, in independent parts: the variance is the sum of squares."""
+        """(3, N) changes of the image if all edges move alike, in independent parts, whose squares sum to the variance."""
 
 
 class Amount(NamedTuple):
@@ -49,12 +49,12 @@ ALL = Amount()
 
 
 def trying(call: RenderCall) -> RenderCall:
-    """The call with other random numbers, for pilot samples."""
+    """The call with the random numbers of pilot samples, which only tell how much noise there is."""
     return with_numbers(call, SALT)
 
 
 def with_numbers(call: RenderCall, salt: int) -> RenderCall:
-    """The call with random numbers that a salt changes."""
+    """The call with other random numbers, which a salt (a number mixed into their keys) changes."""
     return call.with_views([view._replace(sample_keys=tuple(
         SampleKey(hash32(key.seed ^ salt), key.shared) for key in view.sample_keys)) for view in call.views])
 
@@ -80,7 +80,7 @@ def squares(amounts: Tensor) -> float:
 
 
 def effort(first: float, tried: SampledIntegral | None) -> float:
-    """The share of an integral's samples that pays off.
+    """The share of the greatest number of samples that an integral is given: more if it is noisy beside the first one.
 
     Args:
         first: the variance of the first integral, with all of its samples.

@@ -122,7 +122,13 @@ class AcrossEdge(NamedTuple):
 
 
 def across_edge(geometry: Geometry, sight: Sight, places: Places, to_light: Vec3) -> AcrossEdge:
-    """The `AcrossEdge` of edges that rest on surfaces; `to_light`: (N,) from the samples, of any length."""
+    """The directions perpendicular to edges that rest on surfaces, at samples, and whether strips become visible there.
+
+    Args:
+        geometry, sight: of the scene and the camera, detached.
+        places: the samples.
+        to_light: (N,) directions from them, of any length.
+    """
     corners = positions(geometry, places.between, places.instance)
     passed = place_of(geometry, places.through, places.shown_by)
     to_camera = sight.camera.kind.towards(sight.camera.lens, places.p, places.aperture)

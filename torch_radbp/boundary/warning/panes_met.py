@@ -9,7 +9,7 @@ from torch_radbp.texture.bitmap import reader_of
 
 
 def panes_met(rendering: Rendering) -> SceneWarning | None:
-    """The warning that textures keep rays in media from passing some surfaces straight (see `Layout.panes`), or None."""
+    """The warning that textures keep rays in media from passing panes or masks straight, without a bounce; or None."""
     if not rendering.call.scene.layout.traces_segments:
         return None
     met = {texture_name(rendering.scene, texture): rendering.scene.name_of(bsdf)
@@ -23,7 +23,10 @@ def panes_met(rendering: Rendering) -> SceneWarning | None:
 
 
 def in_the_way(bsdf: BSDF, kind: Kind) -> list[Texture]:
-    """The textures because of which a surface is none of `Layout.panes`, though it lets some light pass straight."""
+    """The textures of a material by which rays in media bounce at it, though some light passes straight; mostly none.
+
+    They are networks, and bitmaps filtered by a sample's footprint, neither of which is read between two bounces.
+    """
     if not kind.straight or kind.invisible:
         return []
     return [texture for texture in bsdf.textures() if reader_of(texture).outside or reader_of(texture).needs_footprint]

@@ -147,7 +147,7 @@ class Board:
         self.words, self.address, self.call = words, words.buffer_info()[0], call
 
     def open(self) -> None:
-        """Calls the helpers, unless they have been called."""
+        """Calls helper threads to look for loops here, unless the board is open already."""
         if self.words[DONE]:
             self.words[DONE] = 0
             self.call()

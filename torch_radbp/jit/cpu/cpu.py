@@ -52,23 +52,23 @@ class Cpu:
 
     @property
     def platform(self) -> str:
-        """The processor with its instruction sets; see `Target`."""
+        """The processor with its instruction sets, on which compiled code depends; a key of caches."""
         return f"{host()}, {self.width or host_width()} lanes"
 
     def code(self, program: Program) -> bytes:
-        """The machine code of a program, made quickly for a small rendering; see `Target`."""
+        """Compiles a program to machine code, packed with what better code is made of; quickly for a small rendering."""
         return KernelCode.first(self.text(program)).packed()
 
     def loop(self, code: bytes, searched: Sequence[int] = (), keep: Callable[[bytes], None] | None = None) -> CpuLoop:
-        """Loads machine code as a loop; see `Target`."""
+        """Loads machine code, from `code`, as a loop over lanes; other args as of `Target.loop`."""
         return CpuLoop(code, keep)
 
     def compile(self, program: Program) -> CpuLoop:
-        """Compiles a program well, and loads it; see `Target`."""
+        """Compiles a program with all of LLVM's optimisations, and loads it."""
         return self.loop(KernelCode.made(self.text(program), well=True).packed())
 
     def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> Recorded:
-        """See `Target`."""
+        """Compiles a recording to machine code of this processor; args as of `RecordedResults`."""
         return Recorded(recording, given, results)
 
     chosen = staticmethod(cpu_order.chosen_on_cpu)
@@ -81,7 +81,7 @@ class Cpu:
     add_patches = staticmethod(cpu_patches.add_patches_on_cpu)
 
     def copies(self, entries: int) -> int:
-        """Several copies of a small table's sums, one copy of a large table's; see `Target`."""
+        """The number of copies in which a table of gradients is summed: several if it is small, one if it is large."""
         return COPIES if entries <= SMALL else 1
 
 
@@ -104,7 +104,7 @@ def loop_module(body: Body, width: int) -> str:
 
 
 def block_width(program: Program) -> int:
-    """The number of lanes in a block; see `Cpu`."""
+    """The number of lanes that a pass of a program's loop computes: those of one vector, or of two where it searches."""
     in_double = any(value is not None and value.dtype == torch.float64 for value in program.outputs)
     # LLVM splits every instruction for more lanes than a vector has, and takes half as long again.
     return host_width() // (2 if in_double else 1) * (2 if program.searched else 1)

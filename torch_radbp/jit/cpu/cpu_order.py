@@ -166,7 +166,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The compiled functions of `_text`, by bytes of an entry."""
+    """The compiled functions that count, partition and select lanes, by bytes of an entry."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text(), entry="choose")
@@ -187,7 +187,7 @@ code = made_once(_Code)
 
 @made_once
 def putting(size: int) -> MachineCode:
-    """The compiled loop that scatters entries of a size."""
+    """The compiled loop that scatters entries of so many bytes to given places."""
     return cached_code(TAKE_PARTS.format(width=1) + FEW_LANES + PUT.format(scalar=f"i{8 * size}"))
 
 
@@ -199,31 +199,31 @@ def inverting() -> MachineCode:
 
 @made_once
 def addresses() -> dict[str, int]:
-    """The addresses of the functions of `_text`, by name."""
+    """The addresses of the compiled functions that count, partition and select lanes, by name."""
     names = ["choose", "begin", *(f"{name}_i{bits}" for bits in BITS for name in (
         "count_abreast", "count_rest", "partition_abreast", "partition_rest"))]
     return {name: code().module.address_of(name) for name in names}
 
 
 def inverted_on_cpu(flags: Tensor) -> Tensor:
-    """See `order.inverted`."""
+    """The negation of flags, (N,) bool."""
     return ~flags
 
 
 def nothing_on_cpu(flags: Tensor) -> Tensor:
-    """See `order.nothing`."""
+    """(N,) bool, false for every lane of `flags`."""
     return torch.zeros_like(flags)
 
 
 def chosen_on_cpu(flags: Tensor) -> Tensor:
-    """See `order.chosen`."""
+    """The lanes whose flag is set, (M,) int32 in their order, by a compiled loop on this thread."""
     flags = flags.contiguous()
     order = flags.new_empty(flags.numel(), dtype=torch.int32)
     return order[:code().choose(flags.data_ptr(), order.data_ptr(), flags.numel())]
 
 
 def partition_on_cpu(number: Tensor, queues: int) -> tuple[Tensor, Sequence[int]]:
-    """See `order.partition`."""
+    """Sorts lanes into queues by compiled loops on this thread: args and results as of `order.partition`."""
     number, lanes, size = number.contiguous(), number.numel(), number.element_size()
     order = number.new_empty(lanes, dtype=torch.int32)
     if queues * FEW_LANES_OF_QUEUE > lanes:
@@ -251,7 +251,7 @@ def partitioned_by_many(number: Tensor, queues: int, order: Tensor) -> tuple[Ten
 
 
 def put_on_cpu(targets: Sequence[Tensor], place: Tensor, entries: Sequence[Tensor]) -> None:
-    """See `order.put`; all is contiguous."""
+    """Scatters entries into tensors by compiled loops on several threads; args as of `order.put`, all contiguous."""
     for size in {target.element_size() for target in targets}:
         pairs = [(target, entry) for target, entry in zip(targets, entries) if target.element_size() == size]
         inputs = array("q", [place.data_ptr(), len(pairs), *[entry.data_ptr() for _, entry in pairs]])

@@ -87,7 +87,7 @@ def code_of(dtype: torch.dtype, columns: int) -> MachineCode:
 
 
 def add_patches_on_cpu(patches: Patches, totals: Tensor) -> None:
-    """Adds patches in the order of the lanes; see `patches.add_patches`; all is contiguous."""
+    """Adds values of lanes to rectangles of pixels, lane by lane; args as of `patches.add_patches`, all contiguous."""
     first, values, down, across = patches
     inputs = array("q", [first.data_ptr(), *(value.data_ptr() for value in values), len(down), totals.shape[1],
                          *(weight.data_ptr() for weight in across), *(weight.data_ptr() for weight in down)])

@@ -80,7 +80,10 @@ LONGEST_RUN = 64  # that is sorted key by key
 
 
 class _Code:
-    """The compiled function of `SORT_RUNS`: addresses of lanes, keys, run numbers (written) and run lengths; their count."""
+    """The compiled function that sorts each run of lanes by keys.
+
+    It takes the addresses of lanes, keys, run numbers (written) and run lengths, and the number of runs.
+    """
 
     def __init__(self) -> None:
         self.module = cached_code(SORT_RUNS, entry="sort_runs")
@@ -91,7 +94,7 @@ code = made_once(_Code)
 
 
 def in_order_on_cpu(major: Tensor, minor: Tensor, queues: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Sorts lanes by two numbers on the CPU; see `order.in_order`."""
+    """Sorts lanes by one number and, where that is equal, by another; args and results as of `order.in_order`."""
     order, found = partition_on_cpu(major, queues)
     counts = torch.frombuffer(found, dtype=torch.int64)
     if int(counts.max()) > LONGEST_RUN:

@@ -146,7 +146,7 @@ def _text() -> str:
 
 
 class _Code:
-    """The compiled scatter-add functions of `_text`."""
+    """The compiled functions that scatter-add numbers of lanes, by dtype and number of tables."""
 
     def __init__(self) -> None:
         self.module = cached_code(_text())

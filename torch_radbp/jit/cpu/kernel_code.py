@@ -27,7 +27,7 @@ WRITTEN = 16  # parts of these lanes after each of which they are written down, 
 
 
 class KernelCode(NamedTuple):
-    """Machine code of a kernel, and what better code is made of."""
+    """Machine code of a kernel, with the LLVM IR of which better code is made if this was made quickly."""
 
     object: bytes  # an object file
     text: bytes  # the LLVM IR, compressed; empty: it is made well
@@ -35,16 +35,16 @@ class KernelCode(NamedTuple):
 
     @staticmethod
     def first(text: str) -> KernelCode:
-        """Compiles LLVM IR for the rendering that runs."""
+        """Compiles LLVM IR for the rendering that runs: well if it is large, or the text long, else quickly."""
         return KernelCode.made(text, well=Ahead.are_many() or text.count("\n") > LONGEST)
 
     @staticmethod
     def made(text: str, well: bool) -> KernelCode:
-        """Compiles LLVM IR, well or quickly."""
+        """Compiles LLVM IR to machine code, `well` with LLVM's optimisations, else quickly without."""
         return KernelCode(object_code(text, well), b"" if well else zlib.compress(text.encode(), 1))
 
     def better(self) -> KernelCode:
-        """Compiles the same well."""
+        """The code of the same kernel, compiled once more with LLVM's optimisations."""
         return self.made(zlib.decompress(self.text).decode(), well=True)
 
     def packed(self) -> bytes:
@@ -52,7 +52,7 @@ class KernelCode(NamedTuple):
 
 
 class Ahead:
-    """The paths of the rendering that runs; those of several threads are not told apart."""
+    """The number of paths of the rendering that runs, by which kernels are compiled quickly or well; one for all threads."""
 
     paths = 0
 
@@ -63,12 +63,12 @@ class Ahead:
 
     @staticmethod
     def are_many() -> bool:
-        """True if it is not a small one."""
+        """True if the rendering that runs has so many paths that well-made code pays."""
         return Ahead.paths >= MANY
 
 
 class CpuLoop:
-    """Machine code as a loop; see `target.Loop`.
+    """A kernel's machine code as a loop over lanes, exchanged for better code once it has had many lanes.
 
     Args:
         code: a packed `KernelCode`.
@@ -84,7 +84,7 @@ class CpuLoop:
 
     @property
     def address(self) -> int:
-        """The address of the loop's body; see `team.LaneLoop`."""
+        """The address of the best code so far, a C function that takes parts of a `team.Job`."""
         return self.loaded[-1].address
 
     def run(self, lanes: int, inputs: Sequence[int], lengths: Sequence[int], outputs: Sequence[int]) -> None:
@@ -93,7 +93,7 @@ class CpuLoop:
         run_lanes(self.address, lanes, array("q", [*inputs, *lengths]), array("q", outputs))
 
     def takes(self, lanes: int) -> bool:
-        """Counts lanes; False if the code is the best that there will be."""
+        """Counts lanes that the code computes, and has better code made once they are many; False if none will be made."""
         if not self.may_improve:
             return False
         self.lanes += lanes
@@ -105,7 +105,7 @@ class CpuLoop:
         return True
 
     def improve(self) -> None:
-        """Makes better code, for whoever asks for the address next."""
+        """Compiles the kernel well, and loads it: whoever asks for the address next gets that of the new code."""
         self.made = self.made.better()
         self.loaded.append(MachineCode(self.made.object))
         self.may_improve = False

@@ -55,7 +55,7 @@ def prefetches(program: Program, tables: dict[Value, str], width: int) -> Iterat
 
 
 def unclamped(index: Value) -> Value:
-    """The index before clamping to 0."""
+    """The index before negative values are clamped to 0; the given one if it is not clamped."""
     condition, *_, value = index.arguments if index.operation == "select" else (index, index)
     clamps = condition is not value and condition.operation == "lt" and condition.arguments[0] is value
     return value if clamps else index

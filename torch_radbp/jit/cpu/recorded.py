@@ -86,7 +86,7 @@ class Recorded(RecordedResults):
         return self.assemble(results), counts
 
     def takes(self, lanes: int) -> None:
-        """Counts the lanes of a run, and now and then tells its loops, of which it takes over better code."""
+        """Counts the lanes of a run; now and then reports them to the recorded loops, and takes over their better code."""
         if not self.improving:
             return
         self.lanes += max(lanes, kernel_code.LEAST)
@@ -101,13 +101,13 @@ class Recorded(RecordedResults):
 
     @staticmethod
     def rows_of(group: ResultGroup, entries: int) -> Tensor:
-        """A tensor for the results of a group, (tensors, entries); empty for those that are handed over."""
+        """A tensor for the results of a group, (tensors, entries); empty if work outside of the code makes them."""
         if group.handed:
             return torch.empty((len(group.tensors), 0), dtype=group.dtype, device="cpu")
         return block_of((len(group.tensors), entries), group.dtype)
 
     def do(self, outside: Outside, contexts: Sequence[Any], memory: Memory, counts: array) -> None:
-        """Runs work outside of machine code, if there are lanes."""
+        """Runs work outside of machine code, such as a network, and puts its results into memory; not without lanes."""
         lanes = [counts[part.lanes.last] - counts[part.lanes.first] for part in outside.parts]
         if not any(lanes):
             return

@@ -253,7 +253,7 @@ class Writer:
         return "".join([*functions, helpers])
 
     def part(self, number: int, operations: Sequence[Operation]) -> str:
-        """The function of some consecutive operations."""
+        """The LLVM IR of the function, with this number, that does some consecutive operations."""
         self.lines, self.arrays, self.block, self.addresses, known = [], [], "entry", {}, len(self.counts)
         for count in range(2, known):
             at = self.line(f"getelementptr i64, ptr %counts, i64 {count}")

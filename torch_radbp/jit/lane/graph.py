@@ -51,7 +51,7 @@ class Value:
 
 
 class Repetition(NamedTuple):
-    """How a program is repeated for a lane: entries that it reads of some tables are outputs of the repetition before."""
+    """How a program is repeated for a lane: what it reads of some tables is, from the second time on, its last output."""
 
     running: int  # the output that tells whether the lane goes on
     state: tuple[tuple[int, int], ...]  # of each of these tables its place among the arguments, and the output

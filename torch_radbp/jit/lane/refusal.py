@@ -13,7 +13,7 @@ class UnknownOperation(NotImplementedError):
 
 
 def refusal(what: str) -> UnknownOperation:
-    """Makes an `UnknownOperation` error about `what`, with the line that called the operation."""
+    """The error about `what`, an operation that is not one of lanes, with the line that called the operation."""
     frames = [frame for frame in traceback.extract_stack()
               if not frame.filename.startswith(HERE) and "/torch/" not in frame.filename]
     where = f" at {frames[-1].filename}:{frames[-1].lineno}: {frames[-1].line}" if frames else ""

@@ -14,7 +14,7 @@ from torch_radbp.jit.lane.schedule import few_alive
 
 
 class RepeatedText:
-    """Emits a program that is repeated for a lane while an output says so.
+    """Emits the LLVM IR of a program that is repeated for one lane as long as one of its outputs is true.
 
     Args:
         emitter: of the program (`emit.ProgramText`), for blocks of one lane; the label before its instructions is `lane`.
@@ -33,7 +33,7 @@ class RepeatedText:
                 self.before[value] = self.outputs[number]
 
     def output_of(self, value: Value) -> int | None:
-        """The output that replaces a read table entry in the next repetition; None: none does."""
+        """The number of the output that takes the place of a read table entry in the next repetition; None: none does."""
         if value.operation != "gather":
             return None
         return dict(self.repetition.state).get(value.arguments[0].static)

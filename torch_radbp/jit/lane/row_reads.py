@@ -19,7 +19,7 @@ FENCE = 'fence syncscope("singlethread") seq_cst'
 
 
 def in_rows(program: Program, width: int) -> dict[tuple[Value, int], list[Value]]:
-    """Groups gathers by index and rows, where columns are read together; for blocks of `width` lanes."""
+    """Groups the gathers at one index from columns of the same rows, two or more of them; for blocks of `width` lanes."""
     found: dict[tuple[Value, int], list[Value]] = {}
     for value in program.values if program.columns and width % AT_ONCE == 0 else ():
         column = program.column(value.arguments[0]) if value.operation == "gather" else None

@@ -20,7 +20,7 @@ from torch_radbp.jit.lane.instructions import SCALARS, memory
 
 
 class TableWindow(NamedTuple):
-    """The pair of vector registers that a processor permutes as one."""
+    """A window: consecutive entries of a table that fill two vector registers, which a processor permutes as one."""
 
     elements: int  # 4-byte elements in each
     reads_bytes: bool  # masked loads of bytes exist, so that tables of bools can be read, too
@@ -30,21 +30,22 @@ class TableWindow(NamedTuple):
         return width % self.elements == 0
 
     def reads(self, value: Value) -> bool:
-        """True for a gather whose entries may be in a window."""
+        """True for a table look-up whose entries may be taken from a window: of 4 bytes each, or bools."""
         table, index = value.arguments if value.operation == "gather" else (None, None)
         return table is not None and table.operation == "input" and index.kind == LANES and (
             table.dtype in (torch.float32, torch.int32) or (table.dtype == torch.bool and self.reads_bytes))
 
 
 def window_of(features: Mapping[str, bool]) -> TableWindow | None:
-    """The window of a processor with these instruction sets; None: it cannot permute two vectors."""
+    """The size of a window, part of a table in two registers, by instruction sets; None: the processor permutes no two."""
     if features.get("avx512f"):
         return TableWindow(16, bool(features.get("avx512bw")))
     return TableWindow(8, False) if features.get("avx2") else None
 
 
 def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, list[Value]]:
-    """Groups gathers by index whose entries may be in one window; single ones are not worth it."""
+    """Groups the look-ups of several tables at one index, which a window, a part of each table in two vector registers, may
+    serve; by index, without single ones."""
     found: dict[Value, list[Value]] = {}
     for value in program.values if window is not None else ():
         if window.reads(value) and program.column(value.arguments[0]) is None:
@@ -53,7 +54,8 @@ def at_one_index(program: Program, window: TableWindow | None) -> dict[Value, li
 
 
 class WindowReading:
-    """Emits look-ups of tables at one index by permuting the registers of a window.
+    """Emits look-ups of several tables at one index: where all lanes read within a window, as many consecutive entries as
+    two vector registers hold, it is loaded of each table and permuted; elsewhere entries are gathered.
 
     Args:
         emitter: of the program, which gathers what is not in the window.

@@ -33,7 +33,7 @@ NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING: other streams may be used while this
 
 
 class Graph:
-    """An executable graph of the driver, which frees it with this; a launch that has begun ends before.
+    """A CUDA graph, ready to be launched; the driver frees it with this object, once launches that have begun are done.
 
     Args:
         driver: the module.
@@ -46,7 +46,7 @@ class Graph:
 
 
 class Driver:
-    """CUDA's driver for one device; see `gpu.Launcher`.
+    """CUDA's driver for one device, which loads and launches kernels and graphs of them.
 
     Args:
         driver: the module `cuda.bindings.driver`.
@@ -118,7 +118,7 @@ class Driver:
 
     @contextlib.contextmanager
     def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:
-        """What starts kernels one after the other on torch's current stream, see `gpu.Launcher`."""
+        """A context with a function that starts kernels, one after the other, on torch's current stream."""
         size, stream = ctypes.c_size_t(), self.stream()
         words = (ctypes.c_void_p * 5)(BUFFER, 0, SIZE, ctypes.addressof(size), END)
         extra = ctypes.addressof(words)
@@ -135,7 +135,7 @@ class Driver:
         return self.ask(self.driver.cuStreamIsCapturing, self.stream()) != 0
 
     def captured(self, start: Callable[[Callable], None]) -> Graph | None:
-        """What `start` launches as a graph, see `gpu.Launcher`; None: the driver makes none, for lack of memory or by age.
+        """The kernels that `start` launches as a CUDA graph; None: the driver makes none, for lack of memory or by age.
 
         It is captured on a stream of its own, since torch's usual one cannot be.
         """

@@ -55,7 +55,7 @@ class Launcher(Protocol):
         """
 
     def together(self) -> AbstractContextManager[Start]:
-        """What starts several kernels, one after the other."""
+        """A context with a function that starts several kernels, one after the other."""
 
     def stream(self) -> int:
         """The number of torch's current stream."""
@@ -64,7 +64,8 @@ class Launcher(Protocol):
         """True while somebody else makes a graph of what is launched."""
 
     def captured(self, start: Callable[[Start], None]) -> Any:
-        """A graph of what `start` launches, by the function that it is given and by a `Caster`; None: there are none."""
+        """The kernels that `start` launches, by the function that it is given or a ray caster, as a CUDA graph; None: there
+        are no graphs."""
 
     def play(self, graph: Any) -> None:
         """Starts the kernels of a graph, one after the other."""
@@ -88,12 +89,12 @@ class LoadedKernel:
         return self.loading.result()
 
     def __call__(self, lanes: int, words: Sequence[int]) -> None:
-        """Starts it for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
+        """Starts the kernel for all lanes, at least 1, and does not wait for it; `words`: its other parameters."""
         self.launcher.launch(self.kernel, -(-lanes // BLOCK), BLOCK, array("q", [lanes, 0, 0, *words]))
 
 
 class KernelLoop:
-    """A program as a kernel; see `target.Loop`."""
+    """A program as a kernel on the GPU, to be run for all lanes."""
 
     def __init__(self, kernel: LoadedKernel, searched: Sequence[int]):
         self.kernel, self.searched = kernel, searched
@@ -104,7 +105,7 @@ class KernelLoop:
 
 
 class Gpu(AnyDevice):
-    """An NVIDIA GPU as a target; see `target.Target`.
+    """An NVIDIA GPU as a target: functions of lanes are compiled for it, and lanes moved about on it.
 
     Args:
         launcher: of the device.
@@ -125,7 +126,7 @@ class Gpu(AnyDevice):
 
     @property
     def platform(self) -> str:
-        """The same for all GPUs: code is LLVM IR, whose machine code the driver caches."""
+        """All that code depends on beside the program: nothing of the GPU, as it is LLVM IR that the driver compiles."""
         return "NVIDIA"
 
     def code(self, program: Program) -> bytes:
@@ -150,7 +151,7 @@ class Gpu(AnyDevice):
         return self.kernels[key]
 
     def recorded(self, recording: Recording, given: Sequence[Tensor | int], results: Any) -> RecordedLaunches:
-        """See `Target`."""
+        """Prepares a recording to be played as launches of kernels; args as of `RecordedResults`."""
         return RecordedLaunches(self, recording, given, results)
 
     def comes_again(self, lanes: int) -> bool:
@@ -200,7 +201,8 @@ class Gpu(AnyDevice):
         return COPIES if entries <= SMALL else 1
 
     def scatter_add(self, additions: Sequence[Addition], lanes: int) -> None:
-        """By atomic additions of float64, or, if torch is told to be deterministic, by its sums of what it has sorted."""
+        """Scatter-adds numbers of lanes to tables, by atomic additions of float64; if torch is told to be deterministic, it
+        sorts and sums them."""
         if (listener := recording()) is not None:
             if torch.are_deterministic_algorithms_enabled():
                 raise NotRecordable("torch sums what it has sorted")

@@ -32,7 +32,7 @@ ONCE = object()  # in the place of the graph of words that came once
 
 
 class Graphs:
-    """The graphs of one sequence, by all that its launches are given; of those that came last."""
+    """The CUDA graphs of one sequence of launches, by all that its kernels are given; only the last few are kept."""
 
     def __init__(self) -> None:
         self.known: dict[bytes, Any] = {}
@@ -86,7 +86,7 @@ class SequenceMemory:
             return torch.empty(0, dtype=torch.uint8, device=device).set_(block)
 
     def release(self) -> None:
-        """Leaves blocks that nobody holds to torch."""
+        """Gives blocks that nobody holds back to torch's allocator."""
         for (_, size), blocks in self.blocks.items():
             held = [block for block in blocks if holders(block) > 1]
             self.bytes -= size * (len(blocks) - len(held))

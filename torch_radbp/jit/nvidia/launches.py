@@ -40,7 +40,7 @@ BLOCKS = "nothing", "counts", "scratch", "room"  # of memory, that words may poi
 
 
 class RayQuery(NamedTuple):
-    """Rays that a caster of the device casts: `caster.launch(kernel, ...)`, see `Caster.launch`."""
+    """A recorded query of rays, which the device's ray caster answers by launching its own `kernel`."""
 
     kernel: Any
 
@@ -63,11 +63,11 @@ class Caster(Protocol):
         """
 
     def given(self) -> bytes:
-        """All that `launch` gives to kernels beside its arguments, which they are about to read on the current stream."""
+        """The bytes that `launch` hands to kernels beside its own arguments; they are about to read what these point to."""
 
 
 class Word(NamedTuple):
-    """A word that a kernel is given: an address, and a distance from there."""
+    """A 64-bit argument of a kernel: the address of a block of memory plus a distance from there, in bytes."""
 
     block: int  # whose address it is; 0: none
     distance: int
@@ -83,7 +83,7 @@ class Launch(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Launches that follow each other without the host."""
+    """Launches of kernels that follow each other without anything that the host does."""
 
     launches: Sequence[Launch]
     words: slice  # theirs, of those of all launches
@@ -93,7 +93,7 @@ class Part(NamedTuple):
 
 
 class DeviceRecording(NamedTuple):
-    """What launches are made of."""
+    """A recording as its launches are made from it: operations, tensors that these make, their places, and inputs."""
 
     kernel: Callable  # from name, case and text, see `gpu.Gpu.kernel`
     operations: Sequence[Operation]
@@ -104,7 +104,8 @@ class DeviceRecording(NamedTuple):
 
     @property
     def first_given(self) -> int:
-        """The first block that is given: blocks of memory, results, what is given, its lengths, and known counts."""
+        """The number of the first input among all blocks of memory: working memory and results come before inputs, and the
+        inputs' lengths and known counts after them."""
         return len(BLOCKS) + len(self.layout.groups)
 
     @property
@@ -117,7 +118,7 @@ class DeviceRecording(NamedTuple):
 
 
 def done_together(operation: Operation) -> tuple:
-    """The same for operations that one launch does if they follow each other."""
+    """A key that is equal for two successive operations if one launch does both."""
     if isinstance(operation, Put):
         return Put, operation.place, operation.lanes
     return (Copy, operation.lanes) if isinstance(operation, Copy) else (type(operation),)
@@ -160,11 +161,11 @@ class Launches:
 
     @staticmethod
     def counts(number: int) -> Word:
-        """Where a count stands."""
+        """The address of the count of lanes with this number, as a kernel's argument."""
         return Word(BLOCKS.index("counts"), 8 * number)
 
     def part(self, outside: Outside | None) -> None:
-        """Ends a part of the launches, behind which something is done outside."""
+        """Ends a part of the launches, after which the host does work `outside` of kernels; None: the last part."""
         known = sum(len(part.launches) for part in self.parts)
         words = slice(self.parts[-1].words.stop if self.parts else 0, len(self.words))
         launches = self.sequence[known:]
@@ -172,7 +173,7 @@ class Launches:
         self.parts.append(Part(launches, words, outside, casts, Graphs()))
 
     def place(self, place: MemoryPlace) -> Word:
-        """The word of memory that holds the address of a tensor when kernels are launched."""
+        """The address of a tensor as a kernel's argument: a block of memory, known when kernels start, and a distance."""
         if not place.made:
             return Word(self.of.first_given + place.tensor, 0)
         layout = self.of.layout
@@ -182,14 +183,14 @@ class Launches:
         return Word(BLOCKS.index("room"), layout.at[place.tensor] * self.lanes)
 
     def of_span(self, place: MemoryPlace, lanes: LaneSpan) -> Word:
-        """Where a tensor begins that has an entry for each of some lanes, which are those from their first on."""
+        """The address of a tensor with entries for a span of lanes, which stand at these lanes' places in room for all."""
         first = self.first_of(place)
         if first != lanes.first:
             raise NotRecordable("entries of lanes do not stand where the lanes do")
         return self.place(place)
 
     def whole(self, place: MemoryPlace) -> Word:
-        """Where a tensor lies that is read at indices."""
+        """The address of a tensor that is read at indices, as a table."""
         if self.first_of(place):
             raise NotRecordable("a table begins where only the device knows")
         return self.place(place)
@@ -250,7 +251,7 @@ class Launches:
 
     def ordered(self, number: MemoryPlace, lanes: LaneSpan, queues: int, flags: bool, order: MemoryPlace,
                 count: int) -> None:
-        """Adds what puts lanes into queues, of which `count` is the first number that is found."""
+        """Adds the kernels that put lanes into queues, and write where queues begin as counts from number `count` on."""
         if queues > MOST_QUEUES:
             raise NotRecordable(f"{queues} queues are too many")
         runs = -(-self.lanes // RUN)

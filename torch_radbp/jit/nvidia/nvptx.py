@@ -113,8 +113,8 @@ def features(architecture: str) -> str:
 def ptx(text: str, architecture: str) -> str:
     """Compiles LLVM IR to PTX.
 
-    What lanes are computed by has no repetitions, and NVIDIA's assembler optimises it again: all of LLVM's passes would take
-    half as long again, for as many registers. They are for what is more than one function.
+    A module of one function gets few of LLVM's passes, since NVIDIA's assembler optimises the PTX again: with all of them
+    compiling would take half as long again, and kernels as many registers.
 
     Args:
         text: LLVM's, from `kernel`.

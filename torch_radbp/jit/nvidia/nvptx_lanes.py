@@ -69,7 +69,7 @@ store i64 %count{k}, ptr %place{k}, align 8"""
 
 
 def counts_text(case: tuple[int]) -> str:
-    """The kernel that writes the counts that are known when others begin: 0, and as many more as the case says.
+    """The LLVM IR of the kernel that writes the counts known when others begin: 0, and as many more as the case says.
 
     Its parameters: where they go, then of each where it stands and, if that is null, what it is.
     """
@@ -81,14 +81,15 @@ def counts_text(case: tuple[int]) -> str:
 
 
 def move_text(case: tuple[str]) -> str:
-    """The kernel that inverts or clears flags: where they come from, and go to."""
+    """The LLVM IR of the kernel that inverts or clears flags; its parameters: where they come from, and go to."""
     name, = case
     return kernel(name, ["ptr noalias readonly %source", "ptr noalias %target"], MOVE.format(
         type="i8", size=1, moved=MOVED[name].format(type="i8")).splitlines())
 
 
 def copy_text(sizes: Sequence[int]) -> str:
-    """The kernel that copies entries of so many bytes each, one after the other: where each comes from, and goes to.
+    """The LLVM IR of the kernel that copies entries of so many bytes, one after the other; its parameters: where each comes
+    from, and goes to.
 
     What was read may be written over by a later copy, at the same lane.
     """
@@ -129,7 +130,7 @@ def scatter_text(additions: Sequence[tuple[torch.dtype, int]]) -> str:
 
 
 def added(k: int, t: int, dtype: torch.dtype) -> Iterator[str]:
-    """Instructions that add to one table."""
+    """Instructions by which a lane adds its number to an entry of table `t` of addition `k`, atomically."""
     number = f"%found{k}.{t}"
     widened = f"fpext float {number} to double" if dtype == torch.float32 else f"fadd double {number}, -0.0"
     yield from ADD.format(k=k, t=t, type=SCALARS[dtype], size=dtype.itemsize, widened=widened).splitlines()

@@ -88,7 +88,7 @@ def lanes_of_run(queues: int, flags: bool, begins: Sequence[str], starts: Sequen
 
 
 def count_text(case: tuple[int, bool]) -> str:
-    """The kernel that counts the lanes of each run and queue; a lane of it is a run.
+    """The LLVM IR of the kernel that counts the lanes of each run and queue, a run for each thread.
 
     Its parameters: numbers of queues, or flags; where the number of lanes stands; the counters; how many runs there are.
 
@@ -106,13 +106,13 @@ def count_text(case: tuple[int, bool]) -> str:
 
 
 def sum_text(case: tuple) -> str:
-    """The kernel that makes values running sums, group by group; a lane of it is a group. Its parameters: the values, how
-    many there are, and where the sum of each group goes."""
+    """The LLVM IR of the kernel that makes values running sums, a group of them for each thread. Its parameters: the values,
+    how many there are, and where the sum of each group goes."""
     return kernel("sum", ["ptr %values", "i64 %count", "ptr %totals"], SUM.format(group=GROUP).splitlines())
 
 
 def place_text(case: tuple[int, bool, int]) -> str:
-    """The kernel that puts lanes into their places; a lane of it is a run.
+    """The LLVM IR of the kernel that puts lanes into their queues, a run of lanes for each thread.
 
     Its parameters: numbers or flags; where the number of lanes stands; the lanes, which are written; how many runs there
     are; where it goes in how many lanes each queue but the first begins, or how many flags are set; then the running sums,

@@ -23,7 +23,7 @@ BITS = 6  # bits of a number of lanes that count, so that there are few rooms
 
 
 def rounded_up(lanes: int) -> int:
-    """The lanes that there is room for where there may be so many: a little more, at least whole lines of memory."""
+    """A number of lanes rounded up to one of few sizes, by a little, for memory in which tensors begin at whole lines."""
     unit = max(64, 1 << max(0, lanes.bit_length() - BITS))
     return -(-lanes // unit) * unit
 
@@ -113,7 +113,7 @@ class RecordedLaunches(RecordedResults):
         return self.assemble(results), counts
 
     def do(self, outside: Outside, contexts: Sequence[Any], room: Room) -> Iterator[tuple[int, Tensor]]:
-        """Does what is done outside, of room for all lanes, of which those count whose row is told.
+        """Runs work outside of kernels, such as a network, on tensors with room for all lanes; surplus lanes get row -1.
 
         Yields:
             The groups of results, each with what was found.
@@ -139,7 +139,7 @@ class RecordedLaunches(RecordedResults):
         return room.rest[start:start + room.lanes * place.size].view(self.of.made[place.tensor].dtype)
 
     def prepared(self, most: int) -> Launches:
-        """The launches for so many lanes at most."""
+        """The launches with room for `most` lanes; made once for each size of that room."""
         lanes = rounded_up(most)
         launches = self.launches.get(lanes)
         if launches is None:

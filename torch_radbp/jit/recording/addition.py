@@ -73,7 +73,10 @@ class Patches(NamedTuple):
 
 
 def side_by_side(additions: Sequence[Addition]) -> list[list[Addition]]:
-    """Groups additions, the largest group first, so that no two in a group add to the same table; order is kept in each."""
+    """Groups additions by the tables that they add to, so that no two groups share a table, and may run side by side.
+
+    The largest group comes first; order is kept in each.
+    """
     groups: list[tuple[set[int], list[Addition]]] = []  # with the tables that they add to
     for addition in additions:
         tables = set(addition.sums.addresses)

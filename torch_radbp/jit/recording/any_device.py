@@ -14,7 +14,7 @@ from torch_radbp.tensors.partition import partition_by_torch
 
 
 class AnyDevice:
-    """A device on which only torch computes; see `target.Target`.
+    """A device as a target for which nothing is compiled: torch's own operations move lanes about.
 
     Args:
         reason: why nothing is compiled for it, and what to do about it.

@@ -29,10 +29,10 @@ class LoopBody(Protocol):
 
     @property
     def address(self) -> int:
-        """The address of the compiled body; see `team.LaneLoop`."""
+        """The address of the compiled code, a C function that takes parts of a `team.Job`."""
 
     def takes(self, lanes: int) -> bool:
-        """Counts lanes that it takes; False if it stays where it is."""
+        """Counts lanes that the loop computes; False if its address will not change any more, as by better code."""
 
 
 class RecordedLoop(NamedTuple):
@@ -83,7 +83,7 @@ class Inverted(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """A recorded copy between tensors, for a result that equals another; see `LaneFunction.into`."""
+    """A recorded copy between tensors, for a result of a loop that equals another one, or an argument."""
 
     source: MemoryPlace
     target: MemoryPlace
@@ -118,7 +118,7 @@ class OutsideWork(NamedTuple):
 
 
 class Outside(NamedTuple):
-    """Recorded work outside of machine code, such as a neural network; see `recording.outside`."""
+    """Recorded work outside of machine code, such as a neural network: a Python function that is called again."""
 
     work: Callable
     context: int  # index of the context passed to it

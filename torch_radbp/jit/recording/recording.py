@@ -160,7 +160,7 @@ class Recording:
                                             tuple(self.written(output, first) for output in outputs), tuple(of_lanes)))
 
     def cast(self, *loop) -> None:
-        """Records a loop, as `loop`, that casts a ray for each lane."""
+        """Records a compiled loop that casts a ray for each lane, so that rays are counted; args as of `loop`."""
         self.loop(*loop)
         self.rays.append(self.operations[-1].lanes)
 
@@ -274,7 +274,7 @@ class Recording:
         """Records a scatter-add of lanes' numbers to tables.
 
         Args:
-            groups: of additions that may run side by side.
+            groups: of additions; groups may run side by side.
             lanes: of all.
             loops: the target's functions, by dtype and number of tables.
         """
@@ -288,7 +288,7 @@ class Recording:
 
     def outside(self, work: Callable, context: Any, given: Sequence[Sequence[Tensor]],
                 results: Sequence[int]) -> list[list[Tensor]]:
-        """Records work outside of machine code; see the function `outside`."""
+        """Records work outside of machine code, such as a neural network; args as of the function `outside`."""
         if self.repeating:
             raise NotRecordable("what is done outside cannot be repeated")
         known = [number for number, own in enumerate(self.contexts) if own is context]

@@ -28,7 +28,7 @@ class RecordedInputs:
 
     @property
     def pattern(self) -> tuple[int, ...]:
-        """For each input the index of the first that is the same; equal where one recording serves."""
+        """For each input the index of the first input at the same address; one recording serves calls of equal patterns."""
         firsts: dict[int, int] = {}
         return tuple(map(firsts.setdefault, self.addresses, range(len(self.addresses))))
 

@@ -31,7 +31,7 @@ def flatten(part: Any, leaves: list[Tensor], key: list) -> None:
 
 
 def of_lanes(key: Sequence) -> tuple:
-    """The key of the same structure with tensors that have an entry per lane."""
+    """A structure's key, changed to that of the same structure with tensors that all have an entry per lane."""
     return tuple((item[0], 1) if isinstance(item[0], torch.dtype) else item for item in key)
 
 

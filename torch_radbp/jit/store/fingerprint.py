@@ -164,18 +164,18 @@ class DefinitionReader:
         self.lasting = True
 
     def told(self, tell: Callable[[DefinitionReader], str]) -> Definition:
-        """The definition whose text a function tells."""
+        """The definition of a thing whose text `tell` returns, with all that the text refers to."""
         text = tell(self)
         digest = hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()
         return Definition(digest, tuple(self.references), self.lasting)
 
     def name(self, thing: Any) -> str:
-        """Stands for a thing that is to be defined."""
+        """The sign that stands in a text for a thing that is defined elsewhere; the thing is noted as a reference."""
         self.references.append(thing)
         return "#"
 
     def words(self, value: Any) -> str:
-        """The text of a value."""
+        """Describes a value in text; functions, classes and objects in it are noted as references."""
         kind = type(value)
         if kind in PLAIN:
             return repr(value)
@@ -227,15 +227,15 @@ class DefinitionReader:
         return f"{getattr(thing, '__module__', None)}.{getattr(thing, '__qualname__', None)}"
 
     def function(self, function: FunctionType, parts: dict[str, Any]) -> str:
-        """The text of a function by what `mentioned_by` tells."""
+        """Describes a function in text by `parts`: its code and all that it refers to, from `mentioned_by`."""
         return f"function {self.full_name(function)} {self.listed(parts)}: {self.listed(parts.values())}"
 
     def type(self, thing: type, parts: dict[str, Any]) -> str:
-        """The text of a class by what `meaningful_attributes` tells."""
+        """Describes a class in text by `parts`: its bases, and attributes that matter, from `meaningful_attributes`."""
         return f"class {self.full_name(thing)} {self.listed(parts)}: {self.listed(parts.values())}"
 
     def object(self, thing: Any) -> str:
-        """The text of an object by its parts."""
+        """Describes an object in text by its class and attributes."""
         if isinstance(thing, enum.Enum):
             return f"{self.full_name(type(thing))}.{thing.name} {self.words(thing.value)}"
         if is_dataclass(thing):
@@ -274,5 +274,5 @@ def is_library(module: str) -> bool:
 
 
 def in_library(thing: Any) -> bool:
-    """True if a function or class belongs to such a library."""
+    """True if a function or class belongs to a library whose version stands for its contents."""
     return is_library(getattr(thing, "__module__", None) or "builtins")

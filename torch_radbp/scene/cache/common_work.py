@@ -34,7 +34,7 @@ class Facts:
 
     @staticmethod
     def of(record: Any) -> Facts:
-        """The `Facts` of a record of detached tensors and comparable values."""
+        """The facts on which a result depends, from a record of detached tensors and comparable values."""
         common, facts = COMMON.get(), Facts(leaves_of(record))
         return facts if common is None else common.known(facts)
 

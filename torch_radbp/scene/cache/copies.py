@@ -46,7 +46,7 @@ class Copies:
         self.moved: set[int] = set() if around is None else around.moved  # as of `Inventory.reach`, what is not as it was
 
     def close(self) -> Copies:
-        """Drops what only the comparison with the last rendering needed; returns the copies."""
+        """Ends the rendering: drops what only the comparison with the last one needed; returns the object itself."""
         self.last_copies, self.last_places, self.last_inventories, self.compared = {}, {}, {}, None
         self.last_versions = {}
         self.numbers = {}
@@ -70,7 +70,7 @@ class Copies:
         return asks_for_derivatives(getattr(owner, name, None)) if known is None else known
 
     def inventory(self, root: nn.Module) -> Inventory:
-        """The `Inventory` of a module; that of the last rendering if it still holds."""
+        """The lists of all tensors and modules within a module; the object of the last rendering if they still hold."""
         inventory = self.inventories.get(id(root))
         if inventory is None:
             last = self.last_inventories.get(id(root))

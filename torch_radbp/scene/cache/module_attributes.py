@@ -133,5 +133,5 @@ def assembled(cls: type, others: tuple, parameters: tuple, buffers: tuple, child
 
 
 def holder(name: str, value) -> SimpleNamespace:
-    """A plain object with one attribute, used in place of a module."""
+    """A plain object with one attribute, which takes a module's place where only that attribute is read."""
     return SimpleNamespace(**{name: value})

@@ -93,7 +93,7 @@ class PackCache(Copies):
         return PackCache, ()
 
     def close(self) -> PackCache:
-        """Drops what only the comparison with the last rendering needed; returns the cache."""
+        """Ends the rendering: drops what only the comparison with the last one needed; returns the cache itself."""
         super().close()
         self.last_results, self.last_parts, self.last_twins, self.last_constants = {}, {}, {}, {}
         return self

@@ -75,7 +75,7 @@ def counted_differences(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> 
 
 
 def differing_bytes(tensors: Sequence[Tensor], copies: Sequence[Tensor]) -> Tensor:
-    """The numbers of `counted_differences` as one tensor: 0 where a pair is equal."""
+    """The numbers of differing bytes of pairs of tensors, of large ones 0 or 1, as one tensor: 0 where a pair is equal."""
     return torch.cat(counted_differences(tensors, copies)[0])
 
 

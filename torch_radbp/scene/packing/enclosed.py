@@ -68,7 +68,7 @@ def enclosed_media(cache: PackCache, shapes: Sequence[Surface], placed: Sequence
 
 
 def enclosure_of(vertices: Tensor, faces: Tensor) -> Enclosure | None:
-    """The `Enclosure` of a surface; None: it is not closed, or its triangles do not face one way.
+    """The orientation and the bounding box of a closed surface; None: it is open, or its triangles do not face one way.
 
     Args:
         vertices: (V, 3), detached.
@@ -83,8 +83,8 @@ def enclosure_of(vertices: Tensor, faces: Tensor) -> Enclosure | None:
 
 
 def is_without_borders(vertices: Tensor, faces: Tensor) -> bool:
-    """True if along each edge of a surface as many triangles run in one direction as in the other. Vertices at the same
-    place count as one; args as for `enclosure_of`."""
+    """True if a surface is closed and consistently oriented: along each edge as many triangles run in one direction as in
+    the other. Vertices at the same place count as one; args as for `enclosure_of`."""
     if not len(faces):
         return False
     label = welded(cells_of(vertices, weld_size(vertices)))

@@ -36,7 +36,7 @@ class PlacedShape(NamedTuple):
 
 
 class TriangleNumbering(NamedTuple):
-    """How the triangles of a shape are numbered in AOVs."""
+    """How the AOVs `prim_index` and `shape_index` number the triangles of a shape."""
 
     counted: bool  # if not, they are one primitive, of number 0
     shape: int  # the number of the shape in the scene; 0: it belongs to a group
@@ -91,7 +91,10 @@ def frozen_ball(cache: PackCache, place: Hashable, ball: Ball | None) -> Ball | 
 
 
 def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
-    """The `Surface.connections` of a shape's triangles; computed again only if its values have changed."""
+    """The topology of a shape's triangles and the like, detached; computed again only if the shape's values have changed.
+
+    Empty for shapes whose triangles depend on none.
+    """
     recipe = shape.connections()
     if recipe is None:
         return ()
@@ -101,7 +104,7 @@ def connections(cache: PackCache, shape: Surface) -> tuple[NamedTuple, ...]:
 
 
 def oriented(shape: Surface, connections_of_shape: tuple[NamedTuple, ...]) -> Triangles:
-    """The triangles of a shape in world space, oriented by its connections, if it has any."""
+    """The triangles of a shape in world space, turned inside out if it says so; `connections_of_shape`: its topology."""
     return shape.oriented(*connections_of_shape)
 
 
@@ -122,7 +125,7 @@ def flat_normals(surface: Triangles, faces: Tensor) -> bool:
 
 def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Columns, dtype: torch.dtype,
                    device: torch.device, instances: InstanceTable | None = None) -> TriangleTable:
-    """Builds the `TriangleTable` of all shapes, in order."""
+    """Builds the table of the triangles of all shapes, in order, with the vertex table in it."""
     counts = tuple(len(shape.faces) for shape in shapes)
     surfaces = tuple(shape.surface for shape in shapes)
     vertices = cache(vertex_table, surfaces, columns.normals, columns.uv or columns.tangents, columns.attributes, dtype,
@@ -150,7 +153,7 @@ def triangle_table(cache: PackCache, shapes: Sequence[PlacedShape], columns: Col
 
 def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shapes: Sequence[PlacedShape], normals: bool,
                     numbers: tuple[int, ...], dtype: torch.dtype, device: torch.device) -> InstanceTable | None:
-    """Builds the `InstanceTable` of a scene, attached to the instances' poses; None if it has none.
+    """Builds the table of a scene's instances, attached to their poses; None if it has no instances.
 
     Args:
         cache: what is known from the last rendering.
@@ -171,7 +174,7 @@ def shown_instances(cache: PackCache, groups: Sequence[Sequence[Instance]], shap
 
 
 def _instance_numbers(numbers: tuple[int, ...], device: torch.device) -> Tensor:
-    """The column `InstanceTable.number` of instances with these AOV numbers."""
+    """The AOV numbers of instances as a column of the table of instances, whose row 0 is the scene itself."""
     return torch.tensor((0, *numbers), dtype=torch.int32, device=device)
 
 

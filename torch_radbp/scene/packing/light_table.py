@@ -41,7 +41,7 @@ class Emission(NamedTuple):
 
 def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emission, ...], lamps: tuple[Light, ...],
                 layout: Layout, radiance: Any, lit: tuple[Any, ...], light_choice: str | None) -> LightTable:
-    """Builds the `LightTable`, the elements from which next-event estimation selects.
+    """Builds the table of light elements, from which next-event estimation selects, and the distribution of these.
 
     Args:
         cache: what is known from the last rendering.
@@ -75,13 +75,13 @@ def light_table(cache: PackCache, triangles: TriangleTable, emissions: tuple[Emi
 
 
 def takes_tree(light_choice: str | None, emissions: tuple[Emission, ...]) -> bool:
-    """True if lights are selected by a tree; never if no emitter would be in it."""
+    """True if next-event estimation selects lights by a tree; never if no emitter would be in the tree."""
     bounded = sum(emission.kind.bounded for emission in emissions)
     return bounded > 0 and (light_choice == "tree" or (light_choice is None and bounded >= MANY))
 
 
 def frozen(cache: PackCache, place: Hashable, record: tuple) -> tuple:
-    """A record whose tensors are replaced by detached copies from `cache`."""
+    """A record whose tensors are replaced by detached copies, the same objects in each rendering while values last."""
     return tuple(type(part)(*frozen(cache, (place, number), part)) if isinstance(part, tuple) else
                  cache.frozen((place, number), part) for number, part in enumerate(record))
 
@@ -122,7 +122,8 @@ def pmf_of_surround_beside(emissions: tuple[Emission, ...], choice: TreeChoice) 
 
 def element_columns(kinds: tuple[LightKind, ...], emissions: tuple[Emission, ...],
                     device: torch.device) -> tuple[Tensor, Tensor, Tensor, tuple[Tensor, ...]]:
-    """For each light element its kind, its row in that kind's table, its texture, and `LightTable.outside`; (E,) int32."""
+    """For each light element its kind, its row in that kind's table, its texture, and its row in each table of network
+    textures; (E,) int32 each."""
     integer = {"dtype": torch.int32, "device": device}
     repeats = torch.tensor([elements(emission) for emission in emissions], device=device)
     kind, texture, *outside = (torch.tensor(values, **integer).repeat_interleave(repeats) for values in (

@@ -126,7 +126,7 @@ def placed_shapes(cache: PackCache, objects: Objects) -> tuple[PlacedShape, ...]
 
 def layout_of(cache: PackCache, objects: Objects, materials: Materials, radiances: Radiances,
               placed: tuple[PlacedShape, ...]) -> Layout:
-    """The `Layout` of a scene: the features that it uses."""
+    """The static layout of a scene: the features that it uses, for which code is compiled."""
     named = {name for reader in (*materials.readers, radiances.reader) for name in reader.attributes}
     attributes = tuple(sorted(named))
     attributes_move = any_attribute_differentiated(objects.scene, attributes)
@@ -205,7 +205,7 @@ def sides_of(cache: PackCache, objects: Objects, materials: Materials, placed: t
 
 
 def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], tuple[int, ...]]:
-    """The rows of `BoundaryTable`, and for each shape its row."""
+    """The kinds of boundaries: the media inside and outside, and whether rays pass straight; and the kind of each shape."""
     def side(shape: Surface, medium: Medium | None) -> int:
         if not shape.bounds_media:
             return SAME
@@ -218,7 +218,7 @@ def boundaries_of(objects: Objects) -> tuple[tuple[tuple[int, int, bool], ...], 
 
 
 def boundary_table(cache: PackCache, objects: Objects) -> BoundaryTable:
-    """The `BoundaryTable` of the scene: the kinds of boundaries between media."""
+    """The table of the scene's kinds of boundaries between media."""
     columns = zip(*boundaries_of(objects)[0])
     return BoundaryTable(*(torch.tensor(column, dtype=dtype, device=objects.device)
                            for column, dtype in zip(columns, (torch.int32, torch.int32, torch.bool))))
@@ -234,7 +234,7 @@ def bank_of_textures(cache: PackCache, number: int, group: MaterialTextures, obj
 
 
 def twins_of(cache: PackCache, textures: tuple[Texture, ...]) -> tuple[Texture, ...]:
-    """Copies of textures that are unchanged objects while values are unchanged; see `PackCache.twin`."""
+    """Copies of textures, the same objects in each rendering as long as their values are unchanged."""
     return tuple(cache.twin(number, texture) for number, texture in enumerate(textures))
 
 
@@ -245,7 +245,7 @@ def bank_of_twins(cache: PackCache, reader: Reader, twins: tuple[Texture, ...], 
 
 
 def plain_shapes(objects: Objects) -> tuple[bool, ...]:
-    """For each shape, whether its reflected light is discontinuous only at shadow borders; see `vertex.nearby`."""
+    """For each shape, whether its reflected light jumps at borders of shadows only, so that points may slide over it."""
     if any(emitter.picture_jumps() or emitter.picture_ends() for emitter in objects.emitters):
         return (False,) * len(objects.shapes)
     plain = {id(bsdf): is_plain(bsdf) for bsdf in objects.bsdfs}

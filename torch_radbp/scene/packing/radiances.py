@@ -81,7 +81,7 @@ def _numbered(pairs: Sequence[tuple[Light, Texture]]) -> dict[int, int]:
 
 
 def firsts(pairs: Sequence[tuple[Light, Texture]]) -> tuple[Light, ...]:
-    """For each distinct texture the first emitter that has it."""
+    """The emitters whose textures are distinct: for each texture the first emitter that has it, in order."""
     first: dict[int, Light] = {}
     for emitter, texture in pairs:
         first.setdefault(id(texture), emitter)

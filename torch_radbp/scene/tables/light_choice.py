@@ -48,7 +48,7 @@ class Beside(NamedTuple):
 
 
 class TreeChoice(NamedTuple):
-    """The distribution of E light elements, given the point to be illuminated; used in place of an `AliasTable`."""
+    """The distribution of E light elements, given the point to be illuminated, in scenes with a light tree."""
 
     pmf: Tensor  # (E,) probability of each element among those of its emitter
     cumulative: Tensor  # (E,) float64, number of the emitter plus the probability of its elements up to and with this one
@@ -134,7 +134,7 @@ def tree_choice(bounds: list[LightBounds | None], repeats: Tensor, sampling_weig
 
 
 def within_emitters(weights: Tensor, owner: Tensor, repeats: Tensor) -> tuple[Tensor, Tensor]:
-    """The probability of each element within its emitter, and `TreeChoice.cumulative`, in float64."""
+    """The probability of each element within its emitter, and its running sum plus the emitter's number; float64."""
     total = weights.new_zeros(len(repeats)).index_add_(0, owner, weights)
     pmf = torch.where(total[owner] > 0, weights / total[owner].clamp_min(1e-300), (1.0 / repeats.double())[owner])
     summed = running_sum(pmf)

@@ -66,7 +66,7 @@ def texture_of_light(scene: SceneTensors, element: Tensor, p: Vec3, point: Textu
 
 
 def among(cases: list[Case], wanted: list[bool], element: Tensor) -> Tensor | None:
-    """(N,) bool: lanes whose kind of light is `wanted`; None if no kind is."""
+    """(N,) bool: lanes whose kind of light is one of those flagged in `wanted`; None if no kind is."""
     if all(wanted):
         return torch.ones_like(element, dtype=torch.bool)
     masks = [case.mask for case, want in zip(cases, wanted) if want]

@@ -18,7 +18,13 @@ from torch_radbp.tensors.record import leaves_of
 
 
 def part_of(scene: SceneTensors, scatterer: Appearance | None, vertex: Hashable = None) -> SceneTensors:
-    """The part of a scene that is read where `scatterer` scatters light; None: where paths end. `vertex`: see `Layout`."""
+    """The part of a scene that is read where `scatterer` scatters light; None: where nothing does.
+
+    Args:
+        scene: the whole of it.
+        scatterer: the appearance of the surface.
+        vertex: the kind of path vertex that lanes have there, noted in the part's layout.
+    """
     layout = replace(layout_of_part(scene.layout, scatterer), vertex=vertex)
     return _reduced(scene, scene.layout, scatterer)._replace(layout=layout)
 
@@ -35,7 +41,7 @@ def leaves_of_part(belonging: SceneTensors, layout: Layout, scatterer: Appearanc
 
 
 def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) -> SceneTensors:
-    """A scene record without the tables that its part does not read."""
+    """A scene without the tables that lanes on surfaces of an appearance do not read."""
     triangles = scene.triangles._replace(balls=None, numbers=None, instances=for_lanes(scene.triangles.instances))
     looks = looks_of_part(layout, scatterer)
     slots = scene.materials.slots[:max((len(look.readers) for look in looks), default=0)]
@@ -59,7 +65,7 @@ def _reduced(scene: SceneTensors, layout: Layout, scatterer: Appearance | None) 
 
 
 def layout_of_part(layout: Layout, scatterer: Appearance | None) -> Layout:
-    """The `Layout` of a part of a scene: the features that its appearance needs."""
+    """The static layout of the part of a scene that one appearance reads: the features that it needs."""
     return replace(layout, bending=False, bends_ideally=False, appearances=(), scatterer=scatterer,
                    readers=readers_of(looks_of_part(layout, scatterer)), attributes=attributes_of_part(layout, scatterer),
                    still=())
