@@ -36,7 +36,7 @@ class RayCaster(Protocol):
         """The closest hit of each lane at t > 0, from either side of a triangle."""
 
     def occluded(self, ray: Ray, tmax: Tensor) -> Tensor:
-        """True where any triangle lies at 0 < t < tmax; bool per lane.
+        """True where any triangle lies at 0 < t < tmax, or, with most casters, at tmax itself; bool per lane.
 
         Args:
             tmax: per lane, in units of the length of d. A value <= 0 (or NaN) is no query and gives False.

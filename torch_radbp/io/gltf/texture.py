@@ -28,7 +28,7 @@ class Image(NamedTuple):
     to_uv: Tensor | None  # (4, 4)
 
     def bitmap(self, data: Tensor, filter_type: str | None = None) -> Bitmap:
-        """A bitmap of (H, W, C) linear values that is looked up in the same way."""
+        """A bitmap of (H, W, C) linear values, with the filter, wrapping and texture coordinates of this glTF texture."""
         return Bitmap(data=data.to(torch.get_default_dtype()), filter_type=filter_type or self.filter_type,
                       wrap_mode=self.wrap_mode, to_uv=self.to_uv)
 
