@@ -14,7 +14,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import FEW, MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -72,11 +72,11 @@ def test_around_the_sensors_it_is_the_same_as_in_its_boundary():
 
 @pytest.mark.parametrize("compile, channels", [deep(False, 1), deep(False, 3), deep(True, 1), (True, 3)])
 def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(compile, channels):
-    image, expected = image_and_gradients(room(varied(channels)), NAMES, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
+    scene = room(varied(channels))
+    image, expected = image_and_gradients(scene, NAMES, **SETTINGS | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
     for adjoint in SOME:
-        found, gradients = image_and_gradients(room(varied(channels)), NAMES, compile=compile,
-                                               **SETTINGS | {"adjoint": adjoint})
+        found, gradients = image_and_gradients(scene, NAMES, compile=compile, **SETTINGS | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12
         for name, gradient, wanted in zip(NAMES, gradients, expected):
             assert relative_error(gradient, wanted) < 1e-10, (adjoint, name)
@@ -191,16 +191,16 @@ def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_i
     assert (mean[False].mean() - mean[True].mean()).abs() < 3 * error < 0.5 * mean[False].mean().abs()
 
 
-@pytest.mark.parametrize("compile, bsdf, sampling, strategies", [
-    pytest.param(False, NULL, "hybrid", FEW, id="few"),
-    *(deep(*case, MOVED, id=f"{case[0]}-{case[1]['type']}-{case[2]}")
-      for case in product((False, True), (NULL, ROUGH), ("detached", "hybrid", "attached")))])
-def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling, strategies):
+@pytest.mark.deep  # quick of the same smoke that emits light, in test_emission.py
+@pytest.mark.parametrize("compile, bsdf, sampling", [
+    pytest.param(*case, id=f"{case[0]}-{case[1]['type']}-{case[2]}")
+    for case in product((False, True), (NULL, ROUGH), ("detached", "hybrid", "attached"))])
+def test_every_strategy_gives_the_gradient_of_the_tape_of_what_moves(compile, bsdf, sampling):
     """Of the box, a stone in it, the floor, the camera and a lamp, and of the grid at the same time."""
     names, settings = [*MOVING, *NAMES[:2]], SETTINGS | {"sampling": sampling}
     image, expected = image_and_gradients(room(varied(3), bsdf, 0.9), names, **settings | {"adjoint": rb.TapeAdjoint()})
     assert_informative(image, expected)
-    for adjoint in strategies:
+    for adjoint in MOVED:
         found, gradients = image_and_gradients(room(varied(3), bsdf, 0.9), names, compile=compile,
                                                **settings | {"adjoint": adjoint})
         assert relative_error(found, image) < 1e-12

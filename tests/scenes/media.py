@@ -30,12 +30,13 @@ def ball(radius: float = 0.8, **more) -> dict:
     return {"type": "sphere", "center": [0.0, 0.0, 1.0], "radius": radius, **more}
 
 
-def room(bsdf=NULL, glow: tuple[float, ...] | None = None, **more) -> rb.Scene:
-    """A ball of haze, which may glow, with another one in it, above a floor under a lamp, a point light and a sky."""
+def room(bsdf=NULL, glow: tuple[float, ...] | None = None, inner=NULL, **more) -> rb.Scene:
+    """A ball of haze, which may glow, with another one in it, above a floor under a lamp, a point light and a sky; the
+    materials of both balls."""
     outer = haze() if glow is None else haze() | {"emission": rgb(*glow)}
     return load(torch.float64, camera=overhead(4, 4.0, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                 ball=ball(bsdf=bsdf, interior=outer),
-                core=ball(0.4, bsdf=NULL, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3)),
+                core=ball(0.4, bsdf=inner, interior=haze((2, 1, 3), (0.3, 0.6, 0.9), -0.3)),
                 lamp=rectangle((0.3, -0.8, 2.5), 0.4, (1, 0, 0), 170, bsdf=BLACK,
                                emitter={"type": "area", "radiance": rgb(3, 2, 1)}),
                 bulb={"type": "point", "position": [-0.5, 0.6, 2.5], "intensity": rgb(2, 3, 4)},
