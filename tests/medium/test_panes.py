@@ -242,7 +242,7 @@ def test_forward_mode_is_the_transpose_of_backward(compile, name, parameters):
     moves = "to_world" in parameters
     names = [f"ball.{parameter}" for parameter in parameters] + ["camera.to_world"] * moves
     assert_transposed(room(PANES[name]), *names, **SETTINGS | ({"terms": ("interior",)} if moves else {})
-                      | {"compile": compile})
+                      | {"compile": compile, "max_depth": 3})
 
 
 @pytest.mark.parametrize("build, name", [
