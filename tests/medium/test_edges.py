@@ -17,7 +17,7 @@ MEDIA = {"even": even((0.5, 1.0, 2.0), (0.0, 0.0, 0.0)), "smoke": smoke(cells(la
          "scattering": even((0.5, 1.0, 2.0))}
 CENTERS = {"within": [0.15, 0.1, 0.2], "behind": [0.15, 0.1, -1.2], "before the camera": [0.1, 0.0, -0.4]}
 DEEP = pytest.mark.deep
-CASES = [("smoke", "within", 2, 64), ("scattering", "within", 1, 64),  # medium, where the ball is, depth, samples
+CASES = [("smoke", "within", 2, 24), ("scattering", "within", 1, 24),  # medium, where the ball is, depth, samples
          pytest.param("even", "within", 2, 256, marks=DEEP),
          pytest.param("even", "behind", 2, 256, marks=DEEP), pytest.param("even", "before the camera", 2, 256, marks=DEEP)]
 

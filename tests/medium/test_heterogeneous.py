@@ -38,7 +38,7 @@ def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, t
     other = {"type": "homogeneous", "scale": 2.0, "albedo": rgb(0.9, 0.6, 0.3), "sigma_t": rgb(*colour),
              "phase": {"type": "hg", "g": 0.4}}
     scenes = [room(medium, BOUNDARIES[boundary]) for medium in (smoke(even), other)]
-    samples = torch.stack([torch.stack([rb.render(scene, spp=1024, max_depth=4, seed=seed, compile=compile).mean((0, 2, 3))
+    samples = torch.stack([torch.stack([rb.render(scene, spp=512, max_depth=4, seed=seed, compile=compile).mean((0, 2, 3))
                                         for seed in range(8)]) for scene in scenes])
     difference, error = samples.mean(1).diff(dim=0)[0], (samples.var(1) / 8).sum(0).sqrt()
     assert (difference.abs() < 4 * error).all() and (error < 0.02 * samples.mean((0, 1))).all()
@@ -65,7 +65,7 @@ def test_around_the_sensors_it_is_the_same_as_in_its_boundary():
             more["box"] = box(smoke(), 1.2)
         scene = load(torch.float64, camera=camera, floor=rectangle((0, 0, 1.0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                      sky={"type": "constant"}, **more)
-        pair.append(torch.stack([rb.render(scene, spp=1024, max_depth=4, seed=seed).mean((0, 2, 3)) for seed in range(8)]))
+        pair.append(torch.stack([rb.render(scene, spp=256, max_depth=4, seed=seed).mean((0, 2, 3)) for seed in range(8)]))
     difference, error = pair[0].mean(0) - pair[1].mean(0), ((pair[0].var(0) + pair[1].var(0)) / 8).sqrt()
     assert (difference.abs() < 4 * error).all() and (error < 0.01 * pair[0].mean(0)).all()
 
@@ -96,7 +96,7 @@ def before_a_lamp(medium: dict):
 @pytest.mark.parametrize("channels", deep_but([3], CHANNELS))
 def test_derivatives_are_those_of_differences(channels):
     moves = [Move(name, step) for name, step in zip(NAMES[:4], (0.1, 0.1, 0.3, 0.2))]
-    for found in compared(before_a_lamp(varied(channels)), moves, spp=1 << 11, max_depth=4):
+    for found in compared(before_a_lamp(varied(channels)), moves, spp=1 << 10, max_depth=4):
         found.assert_agrees(0.1)
 
 
@@ -112,7 +112,7 @@ def test_where_extinction_is_0_derivatives_are_those_of_one_sided_differences():
     step, found, wanted = 0.05, [], []
     for seed in range(8):
         scene = before_a_lamp(smoke())
-        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 10, max_depth=4,
+        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 8, max_depth=4,
                                              adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
         found.append((gradient * empty).sum())
         at = [image(extinction, seed + 100) for extinction in (0.0, step, 2 * step)]
@@ -137,7 +137,7 @@ def test_smoke_so_thin_that_flights_are_sampled_by_more_scatters_as_much_as_it_s
     def light(medium: dict) -> torch.Tensor:
         scene = load(torch.float64, camera=overhead(2, 4.0, 0.9), box=box(medium),
                      bulb={"type": "point", "position": [0, 0, 4.0], "intensity": 30.0})
-        return torch.stack([rb.render(scene, spp=1 << 12, max_depth=2, seed=seed).mean() for seed in range(8)])
+        return torch.stack([rb.render(scene, spp=1 << 11, max_depth=2, seed=seed).mean() for seed in range(8)])
 
     even = light(smoke(torch.full((3, 3, 3, 1), 0.002, dtype=torch.float64), (0.9, 0.9, 0.9)))
     fog = light({"type": "homogeneous", "sigma_t": 0.002, "scale": 2.0, "albedo": 0.9, "phase": {"type": "hg", "g": 0.4}})
@@ -183,7 +183,7 @@ def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_i
     spread, mean = {}, {}
     for shared in (False, True):
         gradients = torch.stack([image_and_gradients(
-            scene, [name], seed=seed, adj_image=torch.ones(1, 3, 4, 4), spp=1024, max_depth=4, share_samples=shared)[1][0]
+            scene, [name], seed=seed, adj_image=torch.ones(1, 3, 4, 4), spp=256, max_depth=4, share_samples=shared)[1][0]
             for seed in range(10)]).double()[:, :4].flatten(1)
         spread[shared], mean[shared] = gradients.var(0).sum(), gradients.sum(1)
     assert 0 < spread[False] < 0.4 * spread[True]
@@ -215,7 +215,7 @@ def test_forward_mode_is_the_transpose_of_backward_of_what_moves(compile):
 
 
 @pytest.mark.parametrize("depth, moving, spp", [(1, ["box.to_world", "core.to_world", "camera.to_world"], 1 << 10),
-                                                (3, ["core.to_world", "bulb.position"], 1 << 12),
+                                                (3, ["core.to_world", "bulb.position"], 1 << 11),
                                                 deep(3, ["camera.to_world"], 1 << 16)], ids=["1", "3", "camera"])
 def test_derivatives_by_what_moves_are_those_of_differences(depth, moving, spp):
     """Boxes of smoke in smoke, with edges out of view, over a floor that shines; the grids stand still."""

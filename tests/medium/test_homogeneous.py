@@ -44,11 +44,10 @@ def room(**more):
                 bulb={"type": "point", "position": [-0.5, 0.6, 1.5], "intensity": rgb(2, 3, 4)}, **more)
 
 
-@pytest.mark.parametrize("compile", [False, True], ids=["eager", "compiled"])
+@pytest.mark.parametrize("compile", [deep(False, id="eager"), pytest.param(True, id="compiled")])
 def test_in_a_furnace_radiance_is_1_everywhere(compile):
     """On every path but those with ways so thin that flights are sampled by more extinction than there is."""
-    image = rb.render(furnace(CLEAR), spp=4095 if compile else 511, max_depth=64, rr_depth=100, nee=False, compile=compile,
-                      seed=1)
+    image = rb.render(furnace(CLEAR), spp=4095, max_depth=64, rr_depth=100, nee=False, compile=compile, seed=1)
     error = image.mean((0, 1)).flatten() - 1.0  # pixels are independent
     assert abs(float(error.mean())) < 4 * float(error.std()) / math.sqrt(len(error)) < 4e-4
     assert (error.abs() < 1e-3).all()
@@ -62,7 +61,7 @@ def test_in_a_furnace_radiance_is_1_by_connections_too():
 
 def test_lamps_found_by_chance_and_by_connection_agree():
     """In colours that differ, so that distances are sampled by one of three."""
-    assert_chance_and_connection_agree(room(), 24)
+    assert_chance_and_connection_agree(room(), 12, 4095)
 
 
 def single_scattering(sigma_t, albedo, g, count: int = 20001) -> torch.Tensor:
@@ -141,7 +140,7 @@ def test_forward_mode_is_the_transpose_of_backward(compile):
     assert_transposed(room(), NAMES[0], "floor.to_world", **SETTINGS | {"terms": ("interior",), "compile": compile})
 
 
-@pytest.mark.parametrize("name, step, spp", zip(NAMES, (0.05, 0.05, 0.15), (2048, 1024, 16384)))
+@pytest.mark.parametrize("name, step, spp", zip(NAMES, (0.05, 0.05, 0.15), (4096, 1024, 16384)))
 def test_derivatives_are_those_of_differences(name, step, spp):
     """Independent samples, among walls that send light."""
     scene = furnace(DULL, (0.3, 0.6, 1.0), floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)))
@@ -157,7 +156,7 @@ def test_derivatives_at_zero_are_those_of_one_sided_differences(name, empty, spp
     assert check.agrees, str(check)
 
 
-@pytest.mark.parametrize("sampling, spp", [("hybrid", 32768), ("attached", 2048), deep("detached", 32768)])
+@pytest.mark.parametrize("sampling, spp", [("hybrid", 32768), ("attached", 4096), deep("detached", 32768)])
 def test_flights_fill_the_way_to_walls_that_move(sampling, spp):
     """The whole box grows; its walls look alike, so that nothing jumps where they meet."""
     grows = torch.diag(torch.tensor([1.0, 1.0, 1.0, 0.0], dtype=torch.float64))

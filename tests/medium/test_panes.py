@@ -179,7 +179,7 @@ def test_a_floor_below_a_lamp_behind_a_tinted_pane_is_as_bright_as_the_integral(
     scene = load(torch.float64, air=nothing, camera=overhead(4, 0.5, 0.001) | {"medium": AIR},
                  floor=rectangle((0, 0, 0), 3.0, bsdf=diffuse(0.5, 0.5, 0.5)), pane=rectangle((0, 0, 1), 50.0, bsdf=thin()),
                  lamp=rectangle((0, 0, 2), 1.0, (1, 0, 0), 180, bsdf=BLACK, emitter={"type": "area", "radiance": 1.0}))
-    pixels = colours(*(rb.render(scene, spp=4095, max_depth=2, seed=seed) for seed in range(2)))
+    pixels = colours(rb.render(scene, spp=1024, max_depth=2, seed=1))
     x = (torch.arange(400, dtype=torch.float64) + 0.5) / 200 - 1
     cosine = 2.0 * (x.square()[:, None] + x.square() + 4.0).rsqrt()
     solid_angle = cosine**3 / 4.0 / 200**2  # of a piece of the lamp
@@ -303,7 +303,7 @@ DIM = haze((0.3, 0.4, 0.5), (0, 0, 0))
 
 
 @pytest.mark.parametrize("air, half, spp, moved", [
-    (DIM, 3.0, 1 << 16, [("pane.to_world", SHIFT, 0.02)]),
+    (DIM, 3.0, 1 << 15, [("pane.to_world", SHIFT, 0.02)]),
     deep(DIM, 3.0, 1 << 17, [("pane.to_world", SHIFT, 0.02), ("camera.to_world", SHIFT, 0.02)]),
     deep(DIM, 3.0, 1 << 18, [("pane.to_world", SIZE, 0.06)]),
     deep(DULL, 30.0, 3 << 17, [("pane.to_world", SIZE, 0.6)]),  # fog has more noise

@@ -88,7 +88,7 @@ def difference(render: Callable[[int], Tensor], pose: Tensor, seed: int) -> Tens
 
 
 @pytest.mark.parametrize("case", [
-    Case("fog", "around", "panel", False, 2, spp=128), Case("fog", "cube", "bulb", True, 2, spp=32),
+    Case("fog", "around", "panel", False, 2, spp=40), Case("fog", "cube", "bulb", True, 2, spp=12),
     *(pytest.param(case, marks=DEEP) for case in [
         Case("fog", "around", "bulb", False, 2), Case("fog", "cube", "sun", False, 2),
         Case("fog", "cube", "panel", False, 2, spp=4096), Case("smoke", "cube", "bulb", True, 3, spp=3072),

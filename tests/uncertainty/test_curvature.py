@@ -51,10 +51,10 @@ def test_independent_seeds_have_no_bias_and_one_seed_has():
     direction = torch.ones(3, dtype=torch.float64)
     expected = exact @ direction
     curvature = rb.curvature(renderer, NAMES[:1])
-    found = curvature.product(direction, 80)
+    found = curvature.product(direction, 48)
     assert found.error.isfinite().all() and (found.error > 0).all()
     assert ((found.value - expected).abs() <= 4.5 * found.error).all()
-    biased = curvature.product(direction, 80, independent=False)
+    biased = curvature.product(direction, 48, independent=False)
     assert (biased.value - expected > 4.5 * biased.error).any()
 
 
