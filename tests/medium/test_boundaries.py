@@ -119,8 +119,7 @@ def test_forward_mode_is_the_transpose_of_backward(compile):
 
 
 @pytest.mark.parametrize("bsdf, which", [
-    deep(NULL, slice(6), id="null"), pytest.param(ROUGH, slice(0, 6, 2), id="rough"),
-    deep(ROUGH, slice(1, 6, 2), id="rough, others")])
+    deep(NULL, range(6), id="null"), pytest.param(ROUGH, (0, 2), id="rough"), deep(ROUGH, (1, 3, 4, 5), id="rough, others")])
 def test_derivatives_are_those_of_differences(bsdf, which):
     """Before a floor that sends light, in the mean over the image. The boundary of the core is null."""
     scene = load(torch.float64, camera=overhead(2, 4.0, 0.7),
@@ -128,7 +127,7 @@ def test_derivatives_are_those_of_differences(bsdf, which):
                  ball=ball(0.9, bsdf=bsdf, interior=haze((0.6, 0.8, 1.0), (0.5, 0.4, 0.3), 0.4)),
                  core=ball(0.7, bsdf=NULL, interior=haze((1, 2, 1.5), (0.3, 0.6, 0.5), -0.3)))
     moves = [Move(name, step) for name, step in zip(NAMES[:6], (0.1, 0.1, 0.25, 0.1, 0.1, 0.1))]
-    for found in compared(scene, moves[which], spp=1 << 13, max_depth=5):
+    for found in compared(scene, [moves[number] for number in which], spp=1 << 13, max_depth=5):
         found.assert_agrees(0.1)
 
 

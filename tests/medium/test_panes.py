@@ -303,7 +303,7 @@ DIM = haze((0.3, 0.4, 0.5), (0, 0, 0))
 
 
 @pytest.mark.parametrize("air, half, spp, moved", [
-    (DIM, 3.0, 1 << 15, [("pane.to_world", SHIFT, 0.02)]),
+    (DIM, 3.0, 1 << 16, [("pane.to_world", SHIFT, 0.02)]),
     deep(DIM, 3.0, 1 << 17, [("pane.to_world", SHIFT, 0.02), ("camera.to_world", SHIFT, 0.02)]),
     deep(DIM, 3.0, 1 << 18, [("pane.to_world", SIZE, 0.06)]),
     deep(DULL, 30.0, 3 << 17, [("pane.to_world", SIZE, 0.6)]),  # fog has more noise
