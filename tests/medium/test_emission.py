@@ -293,7 +293,7 @@ def test_without_emission_a_scene_in_the_dark_is_refused():
 def test_paths_from_lamps_leave_the_light_of_media_to_the_camera():
     """A mirror beside the lamp, so that there is light of both."""
     scene = room(flame(), mirror=rectangle((-2.0, 0, 1.5), 0.8, (0, 1, 0), 60, bsdf={"type": "conductor"}))
-    of_cameras, *others = (torch.stack([rb.render(scene, spp=512, max_depth=4, light_paths=each, seed=seed).mean((0, 2, 3))
+    of_cameras, *others = (torch.stack([rb.render(scene, spp=128, max_depth=4, light_paths=each, seed=seed).mean((0, 2, 3))
                                         for seed in range(6)]) for each in ("camera", "caustics", "all"))
     for found in others:
         difference, error = of_cameras.mean(0) - found.mean(0), ((of_cameras.var(0) + found.var(0)) / 6).sqrt()

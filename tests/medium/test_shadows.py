@@ -89,7 +89,7 @@ def difference(render: Callable[[int], Tensor], pose: Tensor, seed: int) -> Tens
 
 
 @pytest.mark.parametrize("case", [
-    Case("fog", "around", "panel", False, 2, spp=64, batches=8),
+    Case("fog", "around", "panel", False, 2, spp=128),
     Case("fog", "cube", "bulb", True, 2, spp=32, batches=8),
     *(pytest.param(case, marks=DEEP) for case in [
         Case("fog", "around", "bulb", False, 2), Case("fog", "cube", "sun", False, 2),
