@@ -74,7 +74,8 @@ def test_every_strategy_and_stride_gives_the_gradient_of_the_tape(row, sampling,
     ROWS, ("hybrid", "attached"), (False, True))])
 def test_forward_mode_and_the_backward_pass_are_transposed(row, sampling, compile):
     scene, names = scene_of(row)
-    assert_transposed(scene, names[0], spp=4, light_paths="all", terms=("interior",), sampling=sampling, compile=compile)
+    assert_transposed(scene, names[0], spp=4, max_depth=4 if row == "spot through glass" else 3, light_paths="all",
+                      terms=("interior",), sampling=sampling, compile=compile)
 
 
 def over_a_floor(lamp: dict, height: float = 1.0, **objects) -> rb.Scene:

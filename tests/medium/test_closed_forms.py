@@ -41,7 +41,8 @@ def assert_mean(scene: rb.Scene, expected: Tensor, most: float = 0.01, rendering
 
     Pixels are independent, and have one expectation.
     """
-    pixels = torch.cat([rb.render(scene, seed=seed, **settings)[0].flatten(1).T for seed in range(renderings)]).double()
+    renderer = rb.Renderer(scene, **settings)
+    pixels = torch.cat([renderer(seed=seed)[0].flatten(1).T for seed in range(renderings)]).double()
     mean, error = pixels.mean(0), pixels.std(0) / math.sqrt(len(pixels))
     assert (error < most * expected).all(), (error, expected)
     assert ((mean - expected).abs() < 4 * error + 1e-6).all(), (mean, expected, error)

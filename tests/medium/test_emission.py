@@ -11,7 +11,16 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import FEW, MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import (
+    FEW,
+    MOVED,
+    SOME,
+    assert_informative,
+    assert_transposed,
+    gradients_by_seed,
+    image_and_gradients,
+    relative_error,
+)
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -189,8 +198,8 @@ def test_derivatives_are_those_of_the_closed_form(kind, emission, sigma):
     by_sigma = -length**2 / 2 if sigma == 0 else (length * math.exp(-x) - (1 - math.exp(-x)) / sigma) / sigma
     wanted = {f"{EMISSION}.value.value": length if sigma == 0 else (1 - math.exp(-x)) / sigma,
               f"box.interior.{own}": emission * by_sigma}
-    gradients = [image_and_gradients(scene, list(wanted), seed=seed, spp=2048, max_depth=3,
-                                     adj_image=torch.full((1, 3, 2, 2), 1 / 4, dtype=torch.float64))[1] for seed in range(8)]
+    gradients = gradients_by_seed(scene, list(wanted), range(8), torch.full((1, 3, 2, 2), 1 / 4, dtype=torch.float64),
+                                  spp=2048, max_depth=3)
     for each, derivative in zip(zip(*gradients), wanted.values()):
         found = torch.stack([gradient.reshape(-1, 3).sum(0) for gradient in each])
         if derivative == 0.0:
@@ -293,8 +302,8 @@ def test_without_emission_a_scene_in_the_dark_is_refused():
 def test_paths_from_lamps_leave_the_light_of_media_to_the_camera():
     """A mirror beside the lamp, so that there is light of both."""
     scene = room(flame(), mirror=rectangle((-2.0, 0, 1.5), 0.8, (0, 1, 0), 60, bsdf={"type": "conductor"}))
-    of_cameras, *others = (torch.stack([rb.render(scene, spp=128, max_depth=4, light_paths=each, seed=seed).mean((0, 2, 3))
-                                        for seed in range(6)]) for each in ("camera", "caustics", "all"))
+    renderers = [rb.Renderer(scene, spp=128, max_depth=4, light_paths=each) for each in ("camera", "caustics", "all")]
+    of_cameras, *others = (torch.stack([renderer(seed=seed).mean((0, 2, 3)) for seed in range(6)]) for renderer in renderers)
     for found in others:
         difference, error = of_cameras.mean(0) - found.mean(0), ((of_cameras.var(0) + found.var(0)) / 6).sqrt()
         assert (difference.abs() < 4 * error).all() and (error < 0.05 * of_cameras.mean(0)).all()

@@ -14,7 +14,15 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep, deep_but
-from tests.gradients import MOVED, SOME, assert_informative, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import (
+    MOVED,
+    SOME,
+    assert_informative,
+    assert_transposed,
+    gradients_by_seed,
+    image_and_gradients,
+    relative_error,
+)
 from tests.medium.compared import Move, compared
 from tests.rendering.taped import assert_recorded_alike
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
@@ -37,9 +45,10 @@ def test_where_extinction_is_even_the_medium_is_homogeneous(compile, channels, t
     even = torch.tensor(colour[:channels], dtype=torch.float64).expand(20, 9, 17, channels).contiguous()
     other = {"type": "homogeneous", "scale": 2.0, "albedo": rgb(0.9, 0.6, 0.3), "sigma_t": rgb(*colour),
              "phase": {"type": "hg", "g": 0.4}}
-    scenes = [room(medium, BOUNDARIES[boundary]) for medium in (smoke(even), other)]
-    samples = torch.stack([torch.stack([rb.render(scene, spp=512, max_depth=4, seed=seed, compile=compile).mean((0, 2, 3))
-                                        for seed in range(8)]) for scene in scenes])
+    renderers = [rb.Renderer(room(medium, BOUNDARIES[boundary]), spp=512, max_depth=4, compile=compile)
+                 for medium in (smoke(even), other)]
+    samples = torch.stack([torch.stack([renderer(seed=seed).mean((0, 2, 3)) for seed in range(8)])
+                           for renderer in renderers])
     difference, error = samples.mean(1).diff(dim=0)[0], (samples.var(1) / 8).sum(0).sqrt()
     assert (difference.abs() < 4 * error).all() and (error < 0.02 * samples.mean((0, 1))).all()
 
@@ -65,7 +74,8 @@ def test_around_the_sensors_it_is_the_same_as_in_its_boundary():
             more["box"] = box(smoke(), 1.2)
         scene = load(torch.float64, camera=camera, floor=rectangle((0, 0, 1.0), 3.0, bsdf=diffuse(0.6, 0.5, 0.4)),
                      sky={"type": "constant"}, **more)
-        pair.append(torch.stack([rb.render(scene, spp=256, max_depth=4, seed=seed).mean((0, 2, 3)) for seed in range(8)]))
+        renderer = rb.Renderer(scene, spp=256, max_depth=4)
+        pair.append(torch.stack([renderer(seed=seed).mean((0, 2, 3)) for seed in range(8)]))
     difference, error = pair[0].mean(0) - pair[1].mean(0), ((pair[0].var(0) + pair[1].var(0)) / 8).sqrt()
     assert (difference.abs() < 4 * error).all() and (error < 0.01 * pair[0].mean(0)).all()
 
@@ -105,19 +115,15 @@ def test_where_extinction_is_0_derivatives_are_those_of_one_sided_differences():
     empty = grid() == 0
     assert empty.any() and not empty.all()
 
-    def image(extinction: float, seed: int) -> torch.Tensor:
-        data = torch.where(empty, extinction, grid())
-        return rb.render(before_a_lamp(smoke(data)), spp=1 << 10, max_depth=4, seed=seed).mean()
-
-    step, found, wanted = 0.05, [], []
-    for seed in range(8):
-        scene = before_a_lamp(smoke())
-        _, (gradient,) = image_and_gradients(scene, NAMES[:1], seed=seed, spp=1 << 8, max_depth=4,
-                                             adj_image=torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64))
-        found.append((gradient * empty).sum())
-        at = [image(extinction, seed + 100) for extinction in (0.0, step, 2 * step)]
-        wanted.append((4 * at[1] - 3 * at[0] - at[2]) / (2 * step))
-    found, wanted = torch.stack(found), torch.stack(wanted)
+    scene, step, images = before_a_lamp(smoke()), 0.05, []
+    gradients = gradients_by_seed(scene, NAMES[:1], range(8), torch.full((1, 3, 2, 2), 1 / 12, dtype=torch.float64),
+                                  spp=1 << 8, max_depth=4)
+    renderer = rb.Renderer(scene.requires_grad_(False), spp=1 << 10, max_depth=4)
+    for extinction in (0.0, step, 2 * step):
+        scene.get_parameter(NAMES[0]).copy_(torch.where(empty, extinction, grid()))
+        images.append(torch.stack([renderer(seed=seed).mean() for seed in range(100, 108)]))
+    found = torch.stack([(gradient * empty).sum() for gradient, in gradients])
+    wanted = (4 * images[1] - 3 * images[0] - images[2]) / (2 * step)
     error = ((found.var() + wanted.var()) / len(found)).sqrt()
     assert 0 < error < 0.1 * wanted.mean().abs() and (found.mean() - wanted.mean()).abs() < 4 * error
 
@@ -137,7 +143,8 @@ def test_smoke_so_thin_that_flights_are_sampled_by_more_scatters_as_much_as_it_s
     def light(medium: dict) -> torch.Tensor:
         scene = load(torch.float64, camera=overhead(2, 4.0, 0.9), box=box(medium),
                      bulb={"type": "point", "position": [0, 0, 4.0], "intensity": 30.0})
-        return torch.stack([rb.render(scene, spp=1 << 11, max_depth=2, seed=seed).mean() for seed in range(8)])
+        renderer = rb.Renderer(scene, spp=1 << 11, max_depth=2)
+        return torch.stack([renderer(seed=seed).mean() for seed in range(8)])
 
     even = light(smoke(torch.full((3, 3, 3, 1), 0.002, dtype=torch.float64), (0.9, 0.9, 0.9)))
     fog = light({"type": "homogeneous", "sigma_t": 0.002, "scale": 2.0, "albedo": 0.9, "phase": {"type": "hg", "g": 0.4}})
@@ -176,18 +183,18 @@ def test_bounces_that_are_recorded_have_the_bits_of_single_operations(settings, 
 
 
 def test_samples_of_the_derivative_alone_tell_more_of_empty_cells_and_the_same_in_the_mean():
-    """The light that half of a grid, which is empty, would scatter: gradients of 10 renderings."""
+    """The light that half of a grid, which is empty, would scatter: gradients of 6 renderings."""
     data = grid(size=(8, 8, 8))
     data[:4] = 0.0
     scene, name = room(smoke(data)).to(torch.float32), "box.interior.sigma_t.data"
     spread, mean = {}, {}
     for shared in (False, True):
-        gradients = torch.stack([image_and_gradients(
-            scene, [name], seed=seed, adj_image=torch.ones(1, 3, 4, 4), spp=256, max_depth=4, share_samples=shared)[1][0]
-            for seed in range(10)]).double()[:, :4].flatten(1)
+        gradients = torch.stack([gradient for gradient, in gradients_by_seed(
+            scene, [name], range(6), torch.ones(1, 3, 4, 4), spp=256, max_depth=4, share_samples=shared)])
+        gradients = gradients.double()[:, :4].flatten(1)
         spread[shared], mean[shared] = gradients.var(0).sum(), gradients.sum(1)
     assert 0 < spread[False] < 0.4 * spread[True]
-    error = ((mean[False].var() + mean[True].var()) / 10).sqrt()
+    error = ((mean[False].var() + mean[True].var()) / 6).sqrt()
     assert (mean[False].mean() - mean[True].mean()).abs() < 3 * error < 0.5 * mean[False].mean().abs()
 
 

@@ -14,7 +14,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep
-from tests.gradients import EXACT, FEW, REPLAY, assert_transposed, image_and_gradients, relative_error
+from tests.gradients import EXACT, FEW, REPLAY, assert_transposed, gradients_by_seed, image_and_gradients, relative_error
 from tests.scenes import diffuse, load, overhead, rectangle, rgb
 from tests.scenes.media import BLACK, DULL, assert_chance_and_connection_agree, haze
 
@@ -108,9 +108,9 @@ def test_where_rays_meet_nothing_derivatives_at_no_extinction_are_those_of_the_i
                  pebble={"type": "sphere", "center": [8.0, 0.0, 0.0], "radius": 0.1, "bsdf": BLACK},
                  bulb={"type": "point", "position": [1.0, 0.0, 1.5], "intensity": rgb(1, 1, 1)})
     assert not rb.render(scene, spp=64, max_depth=depth).any()
-    found = torch.stack([image_and_gradients(
-        scene, NAMES[:1], seed=seed, spp=1024, max_depth=depth, share_samples=shared,
-        adj_image=torch.full((1, 3, 2, 2), 1 / 4, dtype=torch.float64))[1][0].flatten() for seed in range(16)])
+    gradients = gradients_by_seed(scene, NAMES[:1], range(16), torch.full((1, 3, 2, 2), 1 / 4, dtype=torch.float64),
+                                  spp=1024, max_depth=depth, share_samples=shared)
+    found = torch.stack([gradient.flatten() for gradient, in gradients])
     error = found.std(0) / math.sqrt(len(found))
     assert (error < 0.02 * wanted).all()
     assert ((found.mean(0) - wanted).abs() < 4 * error).all()

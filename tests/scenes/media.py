@@ -52,8 +52,9 @@ NAMES = ["ball.interior.sigma_t.value.value", "ball.interior.albedo.value.value"
 def assert_chance_and_connection_agree(scene: rb.Scene, renderings: int = 8, spp: int = 1024) -> None:
     """Of a `room` without its bulb: lamps that paths meet by chance, and connections to these, bring the same light."""
     del scene._modules["bulb"]  # which chance does not find
-    means = torch.stack([torch.stack([rb.render(scene, spp=spp, max_depth=5, rr_depth=3, nee=nee, seed=seed).mean((0, 2, 3))
-                                      for seed in range(renderings)]) for nee in (False, True)])
+    renderers = [rb.Renderer(scene, spp=spp, max_depth=5, rr_depth=3, nee=nee) for nee in (False, True)]
+    means = torch.stack([torch.stack([renderer(seed=seed).mean((0, 2, 3)) for seed in range(renderings)])
+                         for renderer in renderers])
     assert (means > 0).all()
     difference, error = means.mean(1).diff(dim=0)[0], (means.var(1) / means.shape[1]).sum(0).sqrt()
     assert (difference.abs() < 4 * error).all() and (error < 0.05 * means[1].mean(0)).all()
