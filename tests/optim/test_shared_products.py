@@ -104,13 +104,16 @@ def test_other_values_seeds_and_samples_are_not_taken_for_the_same():
     v, = directions(linear.size, 1)
     w, = directions(len(linear.values(0, SPP)), 1)
     start = linear.position()
-    asked = [(start, 1, 4), (start, 2, 4), (start, 2, 8), (start + 0.02, 2, 8), (start, 1, 4)]
-    alone, shared = [], []
-    for found in (alone, shared):
-        with linear.sharing() if found is shared else torch.no_grad():
-            for position, seed, spp in asked:
-                linear.move_to(position)
-                found.append((linear.forward(v, seed, spp), linear.backward(w, seed, spp)))
+    asked = [(start, 1, 4), (start, 2, 4), (start, 2, 8), (start + 0.02, 2, 8)]
+
+    def products(position: torch.Tensor, seed: int, spp: int) -> tuple[torch.Tensor, torch.Tensor]:
+        linear.move_to(position)
+        return linear.forward(v, seed, spp), linear.backward(w, seed, spp)
+
+    alone = [products(*each) for each in asked]
+    alone.append(alone[0])
+    with linear.sharing():
+        shared = [products(*each) for each in [*asked, asked[0]]]
     assert all(torch.equal(a, b) for one, other in zip(alone, shared) for a, b in zip(one, other))
     assert all(not torch.equal(alone[number][0], alone[number + 1][0]) for number in range(4))
 
