@@ -44,6 +44,12 @@ def image_and_gradients(scene: rb.Scene, names, *, seed: int = 3, sensors=None, 
     return image.detach(), list(torch.autograd.grad(image, wanted, adj_image))
 
 
+def gradients_by_seed(scene: rb.Scene, names, seeds, adj_image: Tensor, **settings) -> list[list[Tensor]]:
+    """The gradients of <adj_image, image> for the parameters called `names`, of an image for each seed."""
+    wanted, renderer = parameters(scene, names), unwarned_renderer(scene, **settings)
+    return [list(torch.autograd.grad(renderer(seed=seed), wanted, adj_image)) for seed in seeds]
+
+
 def assert_transposed(scene: rb.Scene, *names: str, **settings) -> None:
     """Forward mode and the backward pass by parameters of float64, all at once, are transposes of each other."""
     parameters = [scene.get_parameter(name) for name in names]

@@ -34,12 +34,18 @@ def assert_all_agree(case, strategies, compile=True, **settings):
             assert error < TOLERANCE, f"{adjoint}, {name}: relative error {error:.1e}"
 
 
-@pytest.mark.parametrize("integrand, strategies", [
-    *((integrand, ALL if integrand == "nee_and_roulette" else SOME) for integrand in SETTINGS),
-    *(deep(integrand, ALL) for integrand in SETTINGS if integrand != "nee_and_roulette")],
-    ids=lambda part: part if isinstance(part, str) else "all" if part is ALL else "some")
-def test_every_strategy_gives_the_gradient_of_the_tape_in_the_cornell_box(integrand, strategies, compiled):
-    assert_all_agree(CASES["cornell"], strategies, compiled, **SETTINGS[integrand])
+def called(part: object) -> str:
+    return part if isinstance(part, str) else "compiled" if part is True else "eager" if part is False else \
+        "all" if part is ALL else "some"
+
+
+@pytest.mark.parametrize("compile, integrand, strategies", [
+    (True, "nee_and_roulette", ALL), (False, "nee_and_roulette", ALL), (False, "no_nee_and_roulette", SOME),
+    *((True, integrand, SOME) for integrand in SETTINGS if integrand != "nee_and_roulette"),
+    *(deep(compile, integrand, ALL) for compile in (False, True) for integrand in SETTINGS
+      if integrand != "nee_and_roulette")], ids=called)
+def test_every_strategy_gives_the_gradient_of_the_tape_in_the_cornell_box(compile, integrand, strategies):
+    assert_all_agree(CASES["cornell"], strategies, compile, **SETTINGS[integrand])
 
 
 ACROSS = {"repeat_bilinear", "mirror_nearest", "clamp_trilinear"}  # every way to wrap and to filter once
@@ -47,11 +53,11 @@ OTHERS = [name for name in CASES if name != "cornell"]
 QUICK = [name for name in OTHERS if name in ACROSS or CASES[name].build is not CASES["repeat_bilinear"].build]
 
 
-@pytest.mark.parametrize("name, strategies", [
-    *((name, SOME) for name in QUICK), *(deep(name, ALL) for name in OTHERS)], ids=lambda part: part if isinstance(
-        part, str) else "all" if part is ALL else "some")
-def test_every_strategy_gives_the_gradient_of_the_tape_with(name, strategies, compiled):
-    assert_all_agree(CASES[name], strategies, compiled, max_depth=4, rr_depth=2)
+@pytest.mark.parametrize("compile, name, strategies", [
+    *((True, name, SOME) for name in QUICK), *((False, name, SOME) for name in QUICK[::2]),
+    *(deep(compile, name, ALL) for compile in (False, True) for name in OTHERS)], ids=called)
+def test_every_strategy_gives_the_gradient_of_the_tape_with(compile, name, strategies):
+    assert_all_agree(CASES[name], strategies, compile, max_depth=4, rr_depth=2)
 
 
 @pytest.mark.parametrize("name, integrand", [

@@ -8,7 +8,8 @@ from tests.light_paths.scenes import BALL, LAMPS, camera_named, lit_ball
 from tests.scenes import diffuse, load, rectangle
 
 pytestmark = pytest.mark.filterwarnings("ignore")
-MIRROR, SETTINGS = {"type": "conductor", "material": "none"}, {"spp": 4, "sampling": "attached", "compile": False}
+MIRROR = {"type": "conductor", "material": "none"}
+SETTINGS = {"spp": 4, "max_depth": 3, "sampling": "attached", "compile": False}
 
 
 def scene_of(lamp: str, name: str | None) -> rb.Scene:

@@ -1,4 +1,5 @@
-"""Gradients of a functional of an image, and differences of it with samples of their own, for every entry of a parameter."""
+"""Gradients of a functional of an image, and differences of it with samples of their own, for every entry of a parameter,
+or along one direction through all."""
 
 from __future__ import annotations
 
@@ -93,9 +94,10 @@ class Experiment:
         spp: samples a pixel of a batch.
         seed: of the random numbers.
         compile: as for `Renderer`.
+        along: one direction alone, along which all entries grow, each by another share.
     """
 
-    def __init__(self, row: Row, spp: int, seed: int = 0, compile: bool = True):
+    def __init__(self, row: Row, spp: int, seed: int = 0, compile: bool = True, along: bool = False):
         self.row, self.spp, self.seed = row, spp, seed
         self.scene = rb.load_dict(tensors(scene_of(row)))
         self.parameter, names = PARAMETERS[row.parameter], dict(self.scene.named_parameters())
@@ -106,7 +108,8 @@ class Experiment:
         film = self.renderer(seed=seed, spp=1)
         self.cotangent = torch.rand(film.shape, generator=torch.Generator().manual_seed(seed)) + WEIGHTS[0]
         self.cotangent /= film.numel()
-        self.directions = directions(self.leaf.detach(), self.parameter.poses)
+        self.directions = [torch.linspace(0.5, 1.5, self.leaf.numel()).view_as(self.leaf)] if along else directions(
+            self.leaf.detach(), self.parameter.poses)
         value, batch = self.leaf.detach().clone(), BatchRendering(spp, seed)
         grid = MEDIA[row.medium]["type"] == "heterogeneous"
         most = math.inf if grid else LONGEST if row.boundary == "none" else THICKEST if row.medium == "dense" else math.inf

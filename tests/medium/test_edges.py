@@ -17,7 +17,7 @@ MEDIA = {"even": even((0.5, 1.0, 2.0), (0.0, 0.0, 0.0)), "smoke": smoke(cells(la
          "scattering": even((0.5, 1.0, 2.0))}
 CENTERS = {"within": [0.15, 0.1, 0.2], "behind": [0.15, 0.1, -1.2], "before the camera": [0.1, 0.0, -0.4]}
 DEEP = pytest.mark.deep
-CASES = [("smoke", "within", 2, 64), ("scattering", "within", 1, 64),  # medium, where the ball is, depth, samples
+CASES = [("smoke", "within", 2, 24), ("scattering", "within", 1, 24),  # medium, where the ball is, depth, samples
          pytest.param("even", "within", 2, 256, marks=DEEP),
          pytest.param("even", "behind", 2, 256, marks=DEEP), pytest.param("even", "before the camera", 2, 256, marks=DEEP)]
 
@@ -36,24 +36,24 @@ def scene_of(medium: str, place: str, depth: int) -> rb.Scene:
                  "emitter": {"type": "area", "radiance": rgb(20, 20, 20)}}})
 
 
-def functional(image: Tensor) -> Tensor:
-    """(3,) the mean of each colour, weighted from left to right."""
-    return (image[0].double() * torch.linspace(0, 8, SIZE)).mean((1, 2))
+def functional(image: Tensor, medium: str) -> Tensor:
+    """(C,) the mean of each colour, weighted from left to right; of smoke, which is the same to all colours, of one."""
+    return (image[0, :1 if medium == "smoke" else 3].double() * torch.linspace(0, 8, SIZE)).mean((1, 2))
 
 
-def gradient(renderer: rb.Renderer, pose: Tensor, seed: int) -> Tensor:
-    """(3,) by the place of the ball along x."""
-    colours = functional(renderer(seed=seed))
+def gradient(renderer: rb.Renderer, medium: str, pose: Tensor, seed: int) -> Tensor:
+    """(C,) by the place of the ball along x."""
+    colours = functional(renderer(seed=seed), medium)
     return torch.stack([torch.autograd.grad(colour, pose, retain_graph=True)[0][0, 3] for colour in colours])
 
 
 @torch.no_grad()
-def difference(renderer: rb.Renderer, pose: Tensor, seed: int) -> Tensor:
-    """(3,) the same by two renderings, with the same samples."""
+def difference(renderer: rb.Renderer, medium: str, pose: Tensor, seed: int) -> Tensor:
+    """(C,) the same by two renderings, with the same samples."""
     pose[0, 3] += STEP
-    ahead = functional(renderer(seed=seed, spp=4 * renderer.spp))
+    ahead = functional(renderer(seed=seed, spp=4 * renderer.spp), medium)
     pose[0, 3] -= 2 * STEP
-    behind = functional(renderer(seed=seed, spp=4 * renderer.spp))
+    behind = functional(renderer(seed=seed, spp=4 * renderer.spp), medium)
     pose[0, 3] += STEP
     return (ahead - behind) / (2 * STEP)
 
@@ -62,8 +62,8 @@ def difference(renderer: rb.Renderer, pose: Tensor, seed: int) -> Tensor:
 def test_what_moves_behind_media_has_the_derivatives_of_differences(medium, place, depth, spp):
     scene = scene_of(medium, place, depth)
     pose, renderer = scene.ball.to_world.requires_grad_(), rb.Renderer(scene, spp=spp)
-    found = [gradient(renderer, pose, seed) for seed in range(BATCHES)]
-    expected = [difference(renderer, pose, seed) for seed in range(BATCHES, 3 * BATCHES)]
+    found = [gradient(renderer, medium, pose, seed) for seed in range(BATCHES)]
+    expected = [difference(renderer, medium, pose, seed) for seed in range(BATCHES, 3 * BATCHES)]
     (found, error), (expected, of_difference) = ((values.mean(0), values.std(0) / len(values)**0.5)
                                                  for values in map(torch.stack, (found, expected)))
     assert expected.isfinite().all() and (expected > 5 * of_difference).all()

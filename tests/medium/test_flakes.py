@@ -15,10 +15,10 @@ import torch_radbp as rb
 from tests.deep import deep
 from tests.scenes.flakes import ball, simulated, sky_pixels
 
-BATCHES, WIDTH, SPP = 12, 8, 512
+BATCHES, WIDTH, SPP = 12, 8, 256
 
 
-@pytest.mark.parametrize("depth, paths", [(12, 120_000), deep(2, 400_000), deep(3, 400_000)])
+@pytest.mark.parametrize("depth, paths", [(12, 80_000), deep(2, 400_000), deep(3, 400_000)])
 def test_flakes_scatter_as_often_as_a_simulation(depth, paths):
     expected, error = simulated(paths, depth, seed=depth)
     assert 0.4 < expected < 0.8 and error < 0.0015

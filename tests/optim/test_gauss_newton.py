@@ -128,11 +128,11 @@ def test_outliers_count_less():
     truth = colour.detach().clone()
     target[..., 0, :3] += 50.0
     errors = {}
-    for robust in (None, 0.05):
+    for robust, steps in ((None, 2), (0.05, 8)):  # the first problem is linear
         with torch.no_grad():
             colour.copy_(truth + 0.05)
         optimizer = GaussNewton([colour], spp=2, robust=robust)
-        for _ in range(8):
+        for _ in range(steps):
             optimizer.step(lambda seed, spp: renderer(seed=seed, spp=spp) - target)
         errors[robust] = float((colour - truth).abs().max())
     assert errors[None] > 1 and errors[0.05] < 1e-3

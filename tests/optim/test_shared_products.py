@@ -77,21 +77,25 @@ def test_products_that_share_are_those_alone_bit_by_bit_and_transposes():
             assert float(w @ expected) == pytest.approx(float(of_backward @ v), rel=1e-10)
 
 
-@pytest.mark.filterwarnings("ignore::torch_radbp.ZeroGradientWarning")  # of single pixels, in rows
 def test_products_that_share_are_those_of_the_tape():
+    """J^T w for w of all images, of both signs; by these also J v, whose products with w are those of v with J^T w."""
     renderer, held = block_over_floor()
     linear, tape = linearised(renderer, held), rb.Renderer(
         renderer.scene, spp=SPP, max_depth=DEPTH, adjoint=rb.TapeAdjoint())
     for parameter in held:
         parameter.requires_grad_()
-    dense = torch.stack([torch.cat([part.reshape(-1) for part in torch.autograd.grad(value, held, retain_graph=True)])
-                         for value in tape(seed=3).reshape(-1)])
-    assert dense.isfinite().all() and dense.abs().amax(0).min() > 1e-3
+    image = tape(seed=3)
+    backward, forward = directions(image.numel(), 8), directions(linear.size, 2)
+    taped = [torch.cat([part.reshape(-1) for part in torch.autograd.grad(image, held, w.view_as(image), retain_graph=True)])
+             for w in backward]
+    assert torch.stack(taped).isfinite().all() and torch.stack(taped).abs().amax(0).min() > 1e-3
     with linear.sharing():
-        for v in directions(linear.size, 2):
-            expected = dense.T @ (dense @ v)
-            found = linear.backward(linear.forward(v, 3, SPP), 3, SPP)
-            assert (found - expected).norm() <= 1e-10 * expected.norm()
+        for w, expected in zip(backward, taped):
+            assert (linear.backward(w, 3, SPP) - expected).norm() <= 1e-10 * expected.norm()
+        for v in forward:
+            found = linear.forward(v, 3, SPP)
+            for w, expected in zip(backward, taped):
+                assert abs(w @ found - v @ expected) <= 1e-10 * v.norm() * expected.norm()
 
 
 def test_other_values_seeds_and_samples_are_not_taken_for_the_same():
@@ -100,13 +104,16 @@ def test_other_values_seeds_and_samples_are_not_taken_for_the_same():
     v, = directions(linear.size, 1)
     w, = directions(len(linear.values(0, SPP)), 1)
     start = linear.position()
-    asked = [(start, 1, 4), (start, 2, 4), (start, 2, 8), (start + 0.02, 2, 8), (start, 1, 4)]
-    alone, shared = [], []
-    for found in (alone, shared):
-        with linear.sharing() if found is shared else torch.no_grad():
-            for position, seed, spp in asked:
-                linear.move_to(position)
-                found.append((linear.forward(v, seed, spp), linear.backward(w, seed, spp)))
+    asked = [(start, 1, 4), (start, 2, 4), (start, 2, 8), (start + 0.02, 2, 8)]
+
+    def products(position: torch.Tensor, seed: int, spp: int) -> tuple[torch.Tensor, torch.Tensor]:
+        linear.move_to(position)
+        return linear.forward(v, seed, spp), linear.backward(w, seed, spp)
+
+    alone = [products(*each) for each in asked]
+    alone.append(alone[0])
+    with linear.sharing():
+        shared = [products(*each) for each in [*asked, asked[0]]]
     assert all(torch.equal(a, b) for one, other in zip(alone, shared) for a, b in zip(one, other))
     assert all(not torch.equal(alone[number][0], alone[number + 1][0]) for number in range(4))
 

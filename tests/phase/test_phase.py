@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -60,9 +61,9 @@ def test_cosines_are_sampled_by_the_density(name):
     kind, table = phase.kind(), table_of(phase)
     u = torch.linspace(0.001, 0.999, 997, dtype=torch.float64)
     found = kind.sample_cosine(table, u)
-    grid = torch.linspace(-1, 1, 4000001, dtype=torch.float64)
+    grid = torch.linspace(-1, 1, 400001, dtype=torch.float64)
     below = torch.cumulative_trapezoid(2 * math.pi * kind.of_cosine(table, grid)[1], grid)
-    reached = below[((found + 1) * 2000000).round().long().clamp(1, 4000000) - 1]
+    reached = torch.from_numpy(np.interp(found, grid[1:], below))
     falls = bool(found[0] > found[-1])
     torch.testing.assert_close(reached, 1 - u if falls else u, rtol=0, atol=1e-4)
 
