@@ -9,41 +9,58 @@ computed without that; all values, and tangents where they are finite, are those
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
 from torch.overrides import TorchFunctionMode
 
-from torch_radbp.tensors.differentiated import linear, primal, tangent_of
+from torch_radbp.tensors.torch_internals import dual_of, inside_dual_level, unpacked_dual
 
 
-def product(function: Callable, one: Tensor | float, other: Tensor | float) -> Tensor:
-    """One operand moves, whichever."""
-    return linear(function, one, other) if _moves(one) else linear(function, other, one)
+class Moving(NamedTuple):
+    """An operand with a tangent."""
+
+    value: Tensor
+    tangent: Tensor
+
+    @staticmethod
+    def of(operand: Tensor | float) -> Moving | None:
+        """None: it has none."""
+        if not isinstance(operand, Tensor) or not operand.is_floating_point():
+            return None
+        value, tangent = unpacked_dual(operand)
+        return None if tangent is None else Moving(value, tangent)
 
 
-def quotient(function: Callable, one: Tensor | float, other: Tensor | float) -> Tensor:
-    """One operand moves."""
-    return linear(function, one, other) if _moves(one) else with_zeros(function, one, other)
+def product(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
+    """Of operands in any order."""
+    moving, still = (one, other) if isinstance(one, Moving) else (other, one)
+    return dual_of(function(moving.value, still), function(moving.tangent, still))
 
 
-def quotient_of_number(function: Callable, below: Tensor, number: float) -> Tensor:
-    """`number / below`, of which `below` moves."""
-    return linear(Tensor.mul, below.reciprocal(), number)
+def quotient(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
+    return product(function, one, other) if isinstance(one, Moving) else with_zeros(function, one, other)
 
 
-def total(function: Callable, one: Tensor, other: Tensor | float) -> Tensor:
-    """A sum or difference with a number, or of two tensors of which one moves."""
-    if isinstance(other, Tensor):
+def quotient_of_number(function: Callable, below: Moving, number: float) -> Tensor:
+    """`number / below`."""
+    return torch.reciprocal(dual_of(*below)) if number == 1.0 else product(
+        Tensor.mul, Moving(*unpacked_dual(torch.reciprocal(dual_of(*below)))), number)
+
+
+def total(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
+    """A sum, or a difference."""
+    if isinstance(one, Tensor) or isinstance(other, Tensor):
         return with_zeros(function, one, other)
-    return forward_ad.make_dual(function(primal(one), other), tangent_of(one).clone())
+    return dual_of(function(one.value, other), one.tangent.clone())
 
 
-def with_zeros(function: Callable, *operands: Tensor) -> Tensor:
-    """A function of tensors of which those without a tangent are given one, zero."""
-    return function(*[part if _moves(part) or not part.is_floating_point()
-                      else forward_ad.make_dual(part, torch.zeros_like(part)) for part in operands])
+def with_zeros(function: Callable, *operands: Tensor | Moving | float) -> Tensor:
+    """A function of tensors, of which the one without a tangent is given one, zero."""
+    return function(*[dual_of(*part) if isinstance(part, Moving)
+                      else dual_of(part, torch.zeros_like(part)) if isinstance(part, Tensor) and part.is_floating_point()
+                      else part for part in operands])
 
 
 RULES: dict[Callable, Callable] = {
@@ -60,10 +77,10 @@ class PlainTangents(TorchFunctionMode):
 
     def __torch_function__(self, function, types, arguments=(), keywords=None):
         rule = RULES.get(function)
-        if rule is None or keywords or len(arguments) != 2 or _moves(arguments[0]) == _moves(arguments[1]):
+        if rule is None or keywords or len(arguments) != 2 or not inside_dual_level():
             return function(*arguments, **(keywords or {}))
-        return rule(function, *arguments)
-
-
-def _moves(part: Tensor | float) -> bool:
-    return isinstance(part, Tensor) and tangent_of(part) is not None
+        one, other = arguments
+        moving = Moving.of(one), Moving.of(other)
+        if (moving[0] is None) == (moving[1] is None):
+            return function(one, other)
+        return rule(function, one if moving[0] is None else moving[0], other if moving[1] is None else moving[1])
