@@ -55,7 +55,7 @@ def assert_agree(one: Tensor, other: Tensor, noise: float) -> None:
 
 
 @pytest.mark.parametrize("moving, floor, lamp, noise", [
-    ("plate", "diffuse", LAMP, 0.05), deep("lamp", "diffuse", LAMP, 0.05), deep("floor", "diffuse", LAMP, 0.05),
+    *(deep(moving, "diffuse", LAMP, 0.05) for moving in ("plate", "lamp", "floor")),
     ("plate", "plastic", LAMP, 0.1), ("plate", "plastic", "point", 0.02)])
 def test_a_shadow_in_a_mirror_has_the_derivative_of_what_the_mirrored_camera_sees(moving, floor, lamp, noise, monkeypatch):
     """Which `DirectShadows` has, whose borders are projected. On a coat they count whether paths go on from there or not."""
