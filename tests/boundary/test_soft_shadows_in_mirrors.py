@@ -109,9 +109,10 @@ def test_nothing_is_lost_or_counted_twice_where_scans_find_what_vertices_found(n
     tangent = torch.zeros(4, 4, dtype=torch.float64)
     tangent[:3, 3] = torch.tensor([0.5, 0.3, 0.8])
     monkeypatch.setattr(Lights, "mirrored", SCANNED)
-    scanned = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
+    settings = {"spp": 32, "max_depth": 5, "light_paths": "camera"}
+    scanned = derivatives(scene, "thing.to_world", tangent, **settings)
     monkeypatch.setattr(Lights, "mirrored", ONLY_SHARP)
-    looked = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
+    looked = derivatives(scene, "thing.to_world", tangent, **settings)
     assert_agree(scanned, looked, 0.2)
 
 
