@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import pytest
@@ -42,7 +41,6 @@ def smooth_weights() -> Tensor:
     return torch.stack([torch.ones_like(x), torch.cos(2 * x + y), torch.sin(3 * x - 2 * y), x, y])
 
 
-@functools.cache
 def sides_of(arrangement: Arrangement) -> Sides:
     scene, weights = arrangement.build(), smooth_weights()
     names = dict(scene.named_parameters())
@@ -69,7 +67,7 @@ def sides_of(arrangement: Arrangement) -> Sides:
     return Sides(*differences.mean(0), found.mean(0), noise)
 
 
-RISING = Arrangement("pyramid on a floor", "point", "up")
+QUICK = [Arrangement("cube on a floor", "point", "up")]
 
 
 def seen_to_change(body: str, lamp: str, motion: str) -> bool:
@@ -79,21 +77,21 @@ def seen_to_change(body: str, lamp: str, motion: str) -> bool:
 
 
 WAYS = [(lamp, motion) for lamp in LAMPS for motion in MOTIONS]
-ROWS = [RISING, Arrangement("cube on a floor", "point", "up"), Arrangement("wall on a floor", "point", "tilting"),
+ROWS = [*QUICK, Arrangement("wall on a floor", "point", "tilting"),
         *(Arrangement(body, *way) for number, body in enumerate(BODIES) for place, way in enumerate(WAYS)
           if (place + 5 * number) % 7 == 0 and seen_to_change(body, *way))]
 
 
-@pytest.mark.parametrize("arrangement", deep_but([RISING], dict.fromkeys(ROWS)), ids=str)
+@pytest.mark.parametrize("arrangement", deep_but(QUICK, dict.fromkeys(ROWS)), ids=str)
 def test_derivatives_lie_between_the_one_sided_ones(arrangement):
     sides = sides_of(arrangement)
     assert all(part.isfinite().all() for part in sides) and sides.forward.abs().max() > 1
     assert sides.between().all(), sides
 
 
-def test_lifting_a_body_has_two_derivatives_whose_mean_is_found():
+def test_lifting_a_cube_has_two_derivatives_whose_mean_is_found():
     """A body seen from above, lit from the side that is seen: if it rises, what comes into view is dark."""
-    sides = sides_of(RISING)
+    sides = sides_of(Arrangement("pyramid on a floor", "point", "up"))
     apart = (sides.forward - sides.backward).abs()
     assert apart[0] > 20 * sides.noise[0]
     assert abs(sides.found[0] - 0.5 * (sides.forward + sides.backward)[0]) < 4 * sides.noise[0] + 0.05 * apart[0]

@@ -18,55 +18,55 @@ from torch.overrides import TorchFunctionMode
 from torch_radbp.tensors.torch_internals import dual_of, inside_dual_level, unpacked_dual
 
 
-class Moving(NamedTuple):
+class Dual(NamedTuple):
     """An operand with a tangent."""
 
     value: Tensor
     tangent: Tensor
 
     @staticmethod
-    def of(operand: Tensor | float) -> Moving | None:
+    def of(operand: Tensor | float) -> Dual | None:
         """None: it has none."""
         if not isinstance(operand, Tensor) or not operand.is_floating_point():
             return None
         value, tangent = unpacked_dual(operand)
-        return None if tangent is None else Moving(value, tangent)
+        return None if tangent is None else Dual(value, tangent)
 
 
-def product(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
+def product_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
     """Of operands in any order."""
-    moving, still = (one, other) if isinstance(one, Moving) else (other, one)
+    moving, still = (one, other) if isinstance(one, Dual) else (other, one)
     return dual_of(function(moving.value, still), function(moving.tangent, still))
 
 
-def quotient(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
-    return product(function, one, other) if isinstance(one, Moving) else with_zeros(function, one, other)
+def quotient_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
+    return product_of(function, one, other) if isinstance(one, Dual) else with_zeros(function, one, other)
 
 
-def quotient_of_number(function: Callable, below: Moving, number: float) -> Tensor:
+def quotient_of_number(function: Callable, below: Dual, number: float) -> Tensor:
     """`number / below`."""
-    return torch.reciprocal(dual_of(*below)) if number == 1.0 else product(
-        Tensor.mul, Moving(*unpacked_dual(torch.reciprocal(dual_of(*below)))), number)
+    inverse = torch.reciprocal(dual_of(*below))
+    return inverse if number == 1.0 else product_of(Tensor.mul, Dual(*unpacked_dual(inverse)), number)
 
 
-def total(function: Callable, one: Tensor | Moving, other: Tensor | Moving | float) -> Tensor:
+def sum_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
     """A sum, or a difference."""
     if isinstance(one, Tensor) or isinstance(other, Tensor):
         return with_zeros(function, one, other)
     return dual_of(function(one.value, other), one.tangent.clone())
 
 
-def with_zeros(function: Callable, *operands: Tensor | Moving | float) -> Tensor:
+def with_zeros(function: Callable, *operands: Tensor | Dual | float) -> Tensor:
     """A function of tensors, of which the one without a tangent is given one, zero."""
-    return function(*[dual_of(*part) if isinstance(part, Moving)
+    return function(*[dual_of(*part) if isinstance(part, Dual)
                       else dual_of(part, torch.zeros_like(part)) if isinstance(part, Tensor) and part.is_floating_point()
                       else part for part in operands])
 
 
 RULES: dict[Callable, Callable] = {
-    Tensor.mul: product, torch.mul: product,
-    Tensor.div: quotient, torch.div: quotient, Tensor.__rtruediv__: quotient_of_number,
-    Tensor.add: total, torch.add: total, Tensor.sub: total, torch.sub: total,
+    Tensor.mul: product_of, torch.mul: product_of,
+    Tensor.div: quotient_of, torch.div: quotient_of, Tensor.__rtruediv__: quotient_of_number,
+    Tensor.add: sum_of, torch.add: sum_of, Tensor.sub: sum_of, torch.sub: sum_of,
     **dict.fromkeys((torch.maximum, torch.minimum, torch.atan2, torch.hypot), with_zeros),
 }
 
@@ -80,7 +80,7 @@ class PlainTangents(TorchFunctionMode):
         if rule is None or keywords or len(arguments) != 2 or not inside_dual_level():
             return function(*arguments, **(keywords or {}))
         one, other = arguments
-        moving = Moving.of(one), Moving.of(other)
+        moving = Dual.of(one), Dual.of(other)
         if (moving[0] is None) == (moving[1] is None):
             return function(one, other)
         return rule(function, one if moving[0] is None else moving[0], other if moving[1] is None else moving[1])
