@@ -122,7 +122,7 @@ def test_places_are_no_more_than_ways_that_found_an_edge(casting):
         most // 2, most]
 
 
-@pytest.mark.parametrize("stages", [EAGER, compiled()], ids=["eager", "compiled"])
+@pytest.mark.parametrize("stages", [deep(EAGER), compiled()], ids=["eager", "compiled"])
 def test_edges_that_are_tried_add_up_to_all_that_is_seen(casting, stages):
     geometry, casting = casting
     eyes, outline, sums = rows(eyes_around(), torch.arange(40)), casting.outline, []

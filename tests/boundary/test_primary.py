@@ -204,7 +204,7 @@ def solid(rfilter: str = "gaussian") -> rb.Scene:
         "type": "sphere", "center": [0.4, 0.3, 0.6], "radius": 0.3, "bsdf": diffuse(0.2, 0.4, 0.7)})
 
 
-@pytest.mark.parametrize("name", ["cube.to_world", "camera.to_world"])
+@pytest.mark.parametrize("name", deep_but(["cube.to_world"], ["cube.to_world", "camera.to_world"]))
 def test_forward_mode_and_plain_autograd_agree_with_the_backward_pass(name):
     scene = solid()
     parameter = scene.get_parameter(name).requires_grad_()

@@ -55,7 +55,7 @@ def assert_agree(one: Tensor, other: Tensor, noise: float) -> None:
 
 
 @pytest.mark.parametrize("moving, floor, lamp, noise", [
-    ("plate", "diffuse", LAMP, 0.05), deep("lamp", "diffuse", LAMP, 0.05), deep("floor", "diffuse", LAMP, 0.05),
+    *(deep(moving, "diffuse", LAMP, 0.05) for moving in ("plate", "lamp", "floor")),
     ("plate", "plastic", LAMP, 0.1), ("plate", "plastic", "point", 0.02)])
 def test_a_shadow_in_a_mirror_has_the_derivative_of_what_the_mirrored_camera_sees(moving, floor, lamp, noise, monkeypatch):
     """Which `DirectShadows` has, whose borders are projected. On a coat they count whether paths go on from there or not."""
@@ -109,9 +109,10 @@ def test_nothing_is_lost_or_counted_twice_where_scans_find_what_vertices_found(n
     tangent = torch.zeros(4, 4, dtype=torch.float64)
     tangent[:3, 3] = torch.tensor([0.5, 0.3, 0.8])
     monkeypatch.setattr(Lights, "mirrored", SCANNED)
-    scanned = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
+    settings = {"spp": 32, "max_depth": 5, "light_paths": "camera"}
+    scanned = derivatives(scene, "thing.to_world", tangent, **settings)
     monkeypatch.setattr(Lights, "mirrored", ONLY_SHARP)
-    looked = derivatives(scene, "thing.to_world", tangent, spp=64, max_depth=5, light_paths="camera")
+    looked = derivatives(scene, "thing.to_world", tangent, **settings)
     assert_agree(scanned, looked, 0.2)
 
 

@@ -1,6 +1,7 @@
 """Who is told that silhouettes are missing from a derivative: those who move some that the camera sees, once, by name."""
 
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from torch.autograd import forward_ad
 from torch.func import functional_call
 
 import torch_radbp as rb
+from tests.deep import deep, deep_but
 from tests.scenes import cornell, diffuse, load, look_at, rectangle, rgb, sensor, texels
 from tests.scenes.meshes import icosphere
 from torch_radbp.boundary.curve.edges import edges_of
@@ -133,7 +135,7 @@ def shadows(scene: rb.Scene, *names: str) -> list[str]:
     return [message for message in warnings_of(scene, *names) if "borders of shadows" in message]
 
 
-@pytest.mark.parametrize("name", LIGHTS)
+@pytest.mark.parametrize("name", deep_but([name for name in LIGHTS if not name.startswith(("ball", "block"))], LIGHTS))
 def test_shadows_that_fall_into_the_view_are_named_with_all_that_moves_them(name):
     def lit(**shapes) -> rb.Scene:
         return load(camera=sensor(4, fov=30), floor=FLOOR, **{name.split(".")[0]: LIGHTS[name]}, **shapes)
@@ -292,9 +294,13 @@ def test_attached_directions_that_slide_over_edges_are_warned_of_by_name(name, n
     assert all("With sampling='hybrid'" in message for message in messages)
 
 
-@pytest.mark.parametrize("kind", ["dielectric", "roughdielectric"])
-@pytest.mark.parametrize("name", ["pane.bsdf.eta", "box.vertex_normals", "pane.to_world", "near.x_fov"])
-def test_so_are_those_that_follow_glass(name, kind):
+OF_GLASS = "pane.bsdf.eta", "box.vertex_normals", "pane.to_world", "near.x_fov"
+
+
+@pytest.mark.parametrize("kind, name", [
+    *product(["dielectric"], OF_GLASS), ("roughdielectric", "pane.bsdf.eta"),
+    *(deep("roughdielectric", name) for name in OF_GLASS[1:])])
+def test_so_are_those_that_follow_glass(kind, name):
     glass = {"type": "ref", "id": "glass"} if name.startswith("box") else {"type": kind}
 
     def scene() -> rb.Scene:

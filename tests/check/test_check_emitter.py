@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep_but
 from tests.scenes.lights import EMITTERS
 from torch_radbp.emitter.area import Area, AreaKind
 from torch_radbp.emitter.constant import Constant, ConstantKind
@@ -18,9 +19,10 @@ QUICK = {"samples": 10_000}
 LIGHTS = {name: scene["lamp"].get("emitter", scene["lamp"]) for name, scene in EMITTERS.items() if name != "all"}
 
 
+@pytest.mark.parametrize("samples", deep_but([10_000], [10_000, 50_000]))
 @pytest.mark.parametrize("name", LIGHTS)
-def test_every_light_agrees(name):
-    result = rb.check_emitter(LIGHTS[name])
+def test_every_light_agrees(name, samples):
+    result = rb.check_emitter(LIGHTS[name], samples=samples)
     assert result.agrees, str(result)
     assert [finding.check for finding in result.findings] == ["samples", "weights", "light", "finite"]
 

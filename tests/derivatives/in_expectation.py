@@ -59,6 +59,7 @@ class Effort(NamedTuple):
     seed: int = 0
     compile: bool = True
     backward: bool = True  # compare the backward pass with forward mode, too
+    terms: tuple[str, ...] | None = None  # of the derivative; None: all
 
 
 class Estimate:
@@ -76,7 +77,7 @@ class Estimate:
         self.measurements = {}
         for sampling in moving.samplings:
             renderer = rb.Renderer(scene, max_depth=moving.max_depth, sampling=sampling, compile=effort.compile,
-                                   share_samples=True)
+                                   share_samples=True, **({} if effort.terms is None else {"terms": effort.terms}))
             move = ParameterMove(moving.step, BOTH_SIDES, self.tangent)
             self.measurements[sampling] = Measurement(renderer, f"scene.{moving.name}", value, move,
                                                       BatchRendering(effort.spp, effort.seed))

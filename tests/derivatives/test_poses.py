@@ -40,7 +40,7 @@ class Doubled(nn.Module):
 
 
 @pytest.mark.parametrize("sampling", deep_but(["hybrid"], ["hybrid", "attached"]))
-@pytest.mark.parametrize("name, plugin, parameter", deep_but_every(2, MOVES.values()), ids=MOVES)
+@pytest.mark.parametrize("name, plugin, parameter", deep_but_every(4, MOVES.values()), ids=MOVES)
 def test_the_gradient_reaches_what_a_parameter_is_made_of(name, plugin, parameter, sampling):
     path, settings = f"{plugin}.{parameter}", SETTINGS | {"sampling": sampling}
     image, (expected,) = image_and_gradients(build(name), [path], **settings)

@@ -9,7 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, TypeVar
 
+import torch
+
+from torch_radbp.tensors.plain_tangents import PlainTangents
 from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.torch_internals import inside_dual_level
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -80,7 +84,10 @@ class PlainStage:
         self.function = function
 
     def __call__(self, *arguments):
-        return self.function(*arguments)
+        if not inside_dual_level() or torch.is_grad_enabled():
+            return self.function(*arguments)
+        with PlainTangents():
+            return self.function(*arguments)
 
     def knowing(self, *arguments) -> PlainStage:
         return self
