@@ -7,6 +7,7 @@ CPU and says so, until it is sent back.
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections import Counter
 
@@ -30,9 +31,10 @@ FROM_HOST = (torch.tensor, torch.as_tensor, torch.from_numpy, Tensor.new_tensor)
 
 def place() -> str:
     """The innermost line of the package that is being run."""
-    for frame in reversed(traceback.extract_stack()):
-        if "/torch_radbp/" in frame.filename and "/tests/" not in frame.filename:
-            return f"{frame.filename.rsplit('/torch_radbp/', 1)[1]}:{frame.name}"
+    for frame, _ in traceback.walk_stack(sys._getframe()):
+        code = frame.f_code
+        if "/torch_radbp/" in code.co_filename and "/tests/" not in code.co_filename:
+            return f"{code.co_filename.rsplit('/torch_radbp/', 1)[1]}:{code.co_name}"
     return "elsewhere"
 
 
