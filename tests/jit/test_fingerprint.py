@@ -140,7 +140,7 @@ def test_it_is_the_same_in_another_process_whatever_was_run_before():
     code = ("import torch, torch_radbp as rb; from torch_radbp.jit.store.fingerprint import fingerprint; "
             "import torch_radbp.public; from torch_radbp.tensors.stage import DECLARED; {}; "
             "print([fingerprint(stage) for stage in DECLARED])")
-    rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"
+    rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1, nee=False)"
     # Leaves something in the class.
     copied = "from torch_radbp.tensors.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"
     found = {subprocess.run([sys.executable, "-c", code.format(before)], capture_output=True, text=True, check=True,

@@ -26,7 +26,7 @@ os.cpu_count = lambda: 2
 begun = {"meanwhile": Event(), "beside": Event()}
 def work(helped):
     begun[helped].set()
-    Event().wait(0.5)
+    Event().wait(0.2)
     print(f"finished {helped}\\n", end="", flush=True)
 laters = [getattr(Later(partial(work, helped)), helped)() for helped in begun for _ in range(3)]
 for event in begun.values():
@@ -106,7 +106,7 @@ from torch_radbp.threads.later import Later
 begun, made = Event(), []
 def work():
     begun.set()
-    Event().wait(0.5)
+    Event().wait(0.2)
     made.append(1)
 Later(work).meanwhile()
 begun.wait()
