@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Iterable, Iterator
 
 import torch
 from torch import Tensor
@@ -18,6 +17,8 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
+
+from torch_radbp.tensors.record import leaves_of
 
 CUDA = torch.device("cuda", 0)
 CPU, HOST = torch.device("cpu"), torch.device("cpu", 0)  # where tensors truly are; what those say that are the host's
@@ -39,17 +40,6 @@ def place() -> str:
     return "elsewhere"
 
 
-def tensors_in(arguments: Iterable) -> Iterator[Tensor]:
-    """Yields the tensors among some arguments, those in tuples, lists and dicts too."""
-    for each in arguments:
-        if isinstance(each, Tensor):
-            yield each
-        elif isinstance(each, dict):
-            yield from tensors_in(each.values())
-        elif isinstance(each, (tuple, list)):
-            yield from tensors_in(each)
-
-
 class HostMemory:
     """The memory of tensors that are the host's."""
 
@@ -62,12 +52,8 @@ class HostMemory:
 
     def has_all(self, arguments) -> bool:
         """True if there are tensors among some arguments, and all are the host's."""
-        found = False
-        for tensor in tensors_in(arguments):
-            if tensor.untyped_storage() not in self.known:
-                return False
-            found = True
-        return found
+        tensors = [leaf for leaf in leaves_of(arguments) if isinstance(leaf, Tensor)]
+        return bool(tensors) and all(tensor.untyped_storage() in self.known for tensor in tensors)
 
 
 class SaysCuda(TorchFunctionMode):
