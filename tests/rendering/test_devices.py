@@ -106,7 +106,7 @@ def some(every: int):
     return pytest.param("networks", "hybrid", every, id="networks-hybrid")
 
 
-@pytest.mark.parametrize("name, sampling, every", [some(2), *ALL])
+@pytest.mark.parametrize("name, sampling, every", [some(4), *ALL])
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling, every):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
@@ -141,7 +141,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
     return listing.texts
 
 
-@pytest.mark.parametrize("name, sampling, every", [some(4), *ALL])
+@pytest.mark.parametrize("name, sampling, every", [some(8), *ALL])
 def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, every, monkeypatch):
     """The same kernels as for these arguments on the processor, by a GPU's target; and some where tables lie in rows."""
     stages = CompiledStages()
