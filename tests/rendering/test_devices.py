@@ -151,7 +151,8 @@ def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, every, m
                                             for leaf in leaves_of(arguments)])  # as tensors without contents lie
             texts, here, in_rows = kernels_on_cuda(stages(stage_named(stage)), apart, monkeypatch), Listing(), Listing()
             load(CompiledStages(Gpu(here))(stage_named(stage)).fused.prepared(apart)[0])
-            load(CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0])
+            if any(isinstance(leaf, Tensor) and not leaf.is_contiguous() for leaf in leaves_of(arguments)):
+                load(CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0])
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
             assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
                        for text in {*texts, *in_rows.texts})
