@@ -18,7 +18,7 @@ def test_cost_is_variance_times_seconds():
 @pytest.mark.filterwarnings("ignore")
 def test_ways_differ_in_who_brings_the_light_not_in_what_they_bring():
     description, names = SCENES["glossy ball"]
-    found = measured(description, names, ("camera", "caustics"), 3, None, "")
+    found = measured(description, names, ("camera", "caustics"), 3, ("interior",), "")
     images = [torch.stack(way.samples.images).mean() for way in found.values()]
     assert images[0] > 0 and abs(images[1] / images[0] - 1) < 0.1
     floor = names.index(FLOOR)

@@ -18,10 +18,10 @@ def test_rates_and_ratios():
 
 def test_a_scene_is_measured_on_the_cpu(tmp_path, capsys):
     figures = tmp_path / "figures.json"
-    main(["--device", "cpu", "--scene", "cornell-box", "--quick", "--resolution", "64", "--spp", "16", "--rounds", "2",
+    main(["--device", "cpu", "--scene", "cornell-box", "--quick", "--resolution", "64", "--spp", "4", "--rounds", "1",
           "--json", str(figures)])
     found, = json.loads(figures.read_text())
-    assert found["setting"] == {"resolution": 64, "spp": 16, "max_depth": 4} and found["device"] == "cpu"
+    assert found["setting"] == {"resolution": 64, "spp": 4, "max_depth": 4} and found["device"] == "cpu"
     assert all(found[name] > 0 for name in ("first", "forward", "backward", "on_cpu"))
     assert found["peak"] > 0 and found["predicted"] > 1 << 20
-    assert "| cornell-box | cpu | 64 x 64, 16 |" in capsys.readouterr().out
+    assert "| cornell-box | cpu | 64 x 64, 4 |" in capsys.readouterr().out

@@ -43,10 +43,10 @@ def test_with_a_gpu_every_step_runs_and_is_saved(monkeypatch, tmp_path, capsys, 
 
 
 def test_a_step_that_takes_too_long_is_ended_with_what_it_started_and_the_next_one_runs(monkeypatch, tmp_path):
-    monkeypatch.setattr(gpu_check, "PATIENCE", 1)  # a shell's background jobs ignore interrupts, and so do their children
+    monkeypatch.setattr(gpu_check, "PATIENCE", 0.3)  # a shell's background jobs ignore interrupts, and so do their children
     waiting = ("import subprocess, sys, time; "
                "subprocess.run([sys.executable, '-c', 'import time; time.sleep(600)'])")
-    status, report, folder = check(monkeypatch, tmp_path, {"figures": waiting, "times": ""}, "--patience", "0.5")
+    status, report, folder = check(monkeypatch, tmp_path, {"figures": waiting, "times": ""}, "--patience", "0.25")
     assert status == 1 and report["status"]["figures"].startswith("stopped after its")
     assert report["status"]["times"].startswith("passed") and (folder / "figures.txt").exists()
 

@@ -15,6 +15,7 @@ from benchmarks.headline.race import OURS, Curve, common_error, outcome, race, s
 from benchmarks.headline.task import parameters
 from benchmarks.headline.tasks import TASKS
 from benchmarks.headline.tasks.shape import radius
+from tests.deep import deep
 from torch_radbp.sensor.sampler import Independent, LowDiscrepancy, MultiJitter
 
 HERE = Path(__file__).parents[2]
@@ -124,14 +125,18 @@ def test_the_truth_has_no_error_and_the_first_guess_has(name, tmp_path):
     assert task.error(guess) > 0.1
 
 
-@pytest.mark.parametrize("name", TASKS)
-@pytest.mark.parametrize("sampler, expected",
-                         [(None, LowDiscrepancy), ("independent", Independent), ("multijitter", MultiJitter)])
-def test_a_task_begins_with_the_samplers_asked_for(name, sampler, expected, tmp_path):
+SAMPLERS = {None: LowDiscrepancy, "independent": Independent, "multijitter": MultiJitter}
+OTHERS = [name for name in TASKS if name != "pose"]
+
+
+@pytest.mark.parametrize("name, samplers", [("pose", SAMPLERS), *((name, ["multijitter"]) for name in OTHERS),
+                                            *(deep(name, SAMPLERS) for name in OTHERS)])
+def test_a_task_begins_with_the_samplers_asked_for(name, samplers, tmp_path):
     task = TASKS[name](tmp_path)
-    scene = task.sampled(tmp_path, sampler).load()
-    assert len(scene.sensors) == task.views
-    assert all(type(sensor.sampler) is expected for sensor in scene.sensors)
+    for sampler in samplers:
+        scene = task.sampled(tmp_path, sampler).load()
+        assert len(scene.sensors) == task.views
+        assert all(type(sensor.sampler) is SAMPLERS[sampler] for sensor in scene.sensors)
 
 
 @pytest.mark.deep

@@ -29,7 +29,7 @@ def test_what_moves_is_in_every_scene(name):
 
 
 def test_kinds_are_chosen_by_parts_of_their_names(tmp_path, monkeypatch, capsys):
-    arguments = ["--only", "soft,crease", "--spp", "1", "--batches", "8", "--out", str(tmp_path)]
+    arguments = ["--only", "soft,crease", "--spp", "1", "--batches", "8", "--rounds", "1", "--out", str(tmp_path)]
     monkeypatch.setattr("sys.argv", ["jumps", *arguments])
     jumps.main()
     rows = [line.split("|")[1].strip() for line in capsys.readouterr().out.splitlines()[2:]]

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
 
-from torch_radbp.jit.cpu.machine import MachineCode, object_code
+from torch_radbp.jit.cpu.machine import cached_code
 from torch_radbp.jit.nvidia.gpu import Gpu
 from torch_radbp.jit.nvidia.nvptx import ptx
 
@@ -92,7 +92,7 @@ class Emulated:
     def load(self, text: str, name: str) -> Any:
         if self.assemble:
             self.ptx.append(ptx(text, self.architecture))
-        return name, MachineCode(object_code(on_processor(text, self.backwards), optimized=False), entry="launch")
+        return name, cached_code(on_processor(text, self.backwards), "launch", optimized=False)
 
     @contextlib.contextmanager
     def together(self) -> Iterator[Callable[[Any, int, int, int, int], None]]:

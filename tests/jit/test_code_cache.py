@@ -18,10 +18,16 @@ from torch_radbp.jit.store import code_cache
 
 ROOT = Path(__file__).parents[2]
 RENDER = """
-import warnings
+import copy, sys, warnings
 warnings.simplefilter("error")
 import torch
 import torch_radbp as rb
+import torch_radbp.public
+from torch_radbp.jit.store.fingerprint import fingerprint
+from torch_radbp.tensors.stage import DECLARED
+from torch_radbp.tensors.vec import Vec3
+early = [fingerprint(stage) for stage in DECLARED] if "early" in sys.argv else None
+copy.copy(Vec3(1, 2, 3))  # leaves something in the class
 from torch_radbp.jit.cpu import machine; from torch_radbp.jit import run
 traced = []
 trace = run.traced_program
@@ -32,7 +38,9 @@ scene = rb.load(r"{root}/assets/cornell_box/scene.xml", resolution=8)
 value = scene.get_parameter("green.reflectance.value").requires_grad_()
 image = rb.Renderer(scene, spp=2, max_depth=4)(seed=3)
 image.square().sum().backward()
-print(len(traced), float(image.detach().double().sum()).hex(), float(value.grad.double().sum()).hex())
+stages = early or [fingerprint(stage) for stage in DECLARED]
+print(len(traced), float(image.detach().double().sum()).hex(), float(value.grad.double().sum()).hex(), len(stages),
+      fingerprint(stages))
 """
 
 
@@ -71,20 +79,28 @@ def leaves(results) -> list[torch.Tensor]:
             if isinstance(leaf, torch.Tensor)]
 
 
-def rendered(folder, **environment: str) -> list[str]:
-    """What another process prints: how much it traced and compiled, the sum of an image, the sum of a gradient."""
-    done = subprocess.run([sys.executable, "-c", RENDER.format(root=ROOT)], capture_output=True, text=True, cwd=ROOT,
-                          env={**os.environ, "RADBP_KERNEL_CACHE": str(folder), **environment})
+def rendered(folder, *when: str, hashes: str = "random") -> list[str]:
+    """What another process prints: how much it traced and compiled; sums of an image and a gradient; fingerprints of stages.
+
+    Args:
+        folder: for kernels.
+        when: "early" for fingerprints that are taken before anything is rendered.
+        hashes: the seed of Python's.
+    """
+    done = subprocess.run([sys.executable, "-c", RENDER.format(root=ROOT), *when], capture_output=True, text=True, cwd=ROOT,
+                          env={**os.environ, "RADBP_KERNEL_CACHE": str(folder), "PYTHONHASHSEED": hashes})
     assert done.returncode == 0 and not done.stderr, done.stderr
     return done.stdout.split()
 
 
 def test_two_processes_that_write_at_once_leave_a_third_nothing_to_compile_and_all_render_the_same(tmp_path):
+    """All stages have the same fingerprints in all of them, whatever was run before, and whatever Python's hashes are."""
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(rendered, [tmp_path / "kept"] * 2))
-    last = rendered(tmp_path / "kept")
+    last = rendered(tmp_path / "kept", "early", hashes="1")
     assert max(int(one[0]) for one in found) > 10 and last[0] == "0"
-    assert found[0][1:] == found[1][1:] == last[1:]
+    assert found[0][1:3] == found[1][1:3] == last[1:3]
+    assert found[0][3:] == found[1][3:] == last[3:] and int(last[3]) > 50
     assert not list((tmp_path / "kept").glob("*.part"))
 
 

@@ -1,9 +1,10 @@
-"""A digest of what functions depend on: the same for the same, another for whatever changes a result."""
+"""A digest of what functions depend on: the same for the same, another for whatever changes a result.
+
+That it is the same in all processes is in `test_code_cache.py`.
+"""
 
 import functools
 import importlib
-import os
-import subprocess
 import sys
 import threading
 from dataclasses import dataclass
@@ -134,19 +135,6 @@ def test_functions_and_classes_are_read_once(written, monkeypatch):
     read.clear()
     fingerprint(outer)
     assert read == ["inner"]  # which reads a dict, whose contents may be others
-
-
-def test_it_is_the_same_in_another_process_whatever_was_run_before():
-    code = ("import torch, torch_radbp as rb; from torch_radbp.jit.store.fingerprint import fingerprint; "
-            "import torch_radbp.public; from torch_radbp.tensors.stage import DECLARED; {}; "
-            "print([fingerprint(stage) for stage in DECLARED])")
-    rendered = "rb.render(rb.load('assets/cornell_box/scene.xml', resolution=4), spp=1)"
-    # Leaves something in the class.
-    copied = "from torch_radbp.tensors.vec import Vec3; import copy; copy.copy(Vec3(1, 2, 3))"
-    found = {subprocess.run([sys.executable, "-c", code.format(before)], capture_output=True, text=True, check=True,
-                            env={**os.environ, "PYTHONHASHSEED": seed}).stdout
-             for before, seed in (("pass", "1"), (f"{rendered}; {copied}", "2"))}
-    assert len(found) == 1 and "[" in found.pop()
 
 
 class Point(NamedTuple):

@@ -19,7 +19,7 @@ import torch
 
 THREADS = 2
 LANES = 1 << 17  # of an operation that torch divides
-WAIT = 0.1  # seconds, in which a thread that spins computes for many milliseconds
+WAIT = 0.05  # seconds, in which a thread that spins computes for many milliseconds
 TASKS = Path("/proc/self/task")
 
 
@@ -52,15 +52,15 @@ def renderings() -> dict[str, Callable[[], torch.Tensor]]:
     import torch_radbp as rb
     from tests.scenes import cornell
 
-    def rendering(parameter: str, size: int = 64, **settings) -> Callable[[], torch.Tensor]:
-        scene = cornell(torch.float32, size)
+    def rendering(parameter: str, **settings) -> Callable[[], torch.Tensor]:
+        scene = cornell(torch.float32, 48)  # more lanes than torch computes on one thread
         scene.get_parameter(parameter).requires_grad_()
         return rb.Renderer(scene, **{"spp": 16, "max_depth": 2} | settings)
 
     colour, vertices = "white.reflectance.value", "box.vertex_positions"
     still, moving = rendering(colour, chunk=1 << 16), rendering(vertices)  # one chunk, which is not dealt out
     eager = rendering(colour, chunk=1 << 16, compile=False)
-    tape = rendering(colour, 48, adjoint=rb.TapeAdjoint())
+    tape = rendering(colour, adjoint=rb.TapeAdjoint())
     tangent = {colour: torch.ones(3)}
     return {"compiled": lambda: still().sum().backward(), "eager": lambda: eager().sum().backward(),
             "vertices": lambda: moving().sum().backward(), "tape": lambda: tape().sum().backward(),

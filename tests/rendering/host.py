@@ -7,6 +7,7 @@ CPU and says so, until it is sent back.
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections import Counter
 
@@ -14,8 +15,10 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_leaves, tree_map_only
+from torch.utils._pytree import tree_map_only
 from torch.utils.weak import WeakIdKeyDictionary
+
+from torch_radbp.tensors.record import leaves_of
 
 CUDA = torch.device("cuda", 0)
 CPU, HOST = torch.device("cpu"), torch.device("cpu", 0)  # where tensors truly are; what those say that are the host's
@@ -30,9 +33,10 @@ FROM_HOST = (torch.tensor, torch.as_tensor, torch.from_numpy, Tensor.new_tensor)
 
 def place() -> str:
     """The innermost line of the package that is being run."""
-    for frame in reversed(traceback.extract_stack()):
-        if "/torch_radbp/" in frame.filename and "/tests/" not in frame.filename:
-            return f"{frame.filename.rsplit('/torch_radbp/', 1)[1]}:{frame.name}"
+    for frame, _ in traceback.walk_stack(sys._getframe()):
+        code = frame.f_code
+        if "/torch_radbp/" in code.co_filename and "/tests/" not in code.co_filename:
+            return f"{code.co_filename.rsplit('/torch_radbp/', 1)[1]}:{code.co_name}"
     return "elsewhere"
 
 
@@ -48,8 +52,8 @@ class HostMemory:
 
     def has_all(self, arguments) -> bool:
         """True if there are tensors among some arguments, and all are the host's."""
-        tensors = [leaf for leaf in tree_leaves(arguments) if isinstance(leaf, Tensor)]
-        return bool(tensors) and all([tensor.untyped_storage() in self.known for tensor in tensors])
+        tensors = [leaf for leaf in leaves_of(arguments) if isinstance(leaf, Tensor)]
+        return bool(tensors) and all(tensor.untyped_storage() in self.known for tensor in tensors)
 
 
 class SaysCuda(TorchFunctionMode):

@@ -15,16 +15,16 @@ from torch_radbp.raycast import expanded
 
 
 def render_on(device: Gpu, monkeypatch: pytest.MonkeyPatch, taped: bool = False) -> None:
-    """Compiled renderings run on `device` during the test; it begins with nothing compiled.
+    """Compiled renderings run on `device` during the test; it begins with nothing compiled but what is kept on disk.
 
     Args:
         taped: bounces are recorded, and run in sequences of launches.
     """
     if not taped:
         singly(monkeypatch)
-    fused = CompiledStages(device)
+    fused = CompiledStages()
     monkeypatch.setattr(import_module("torch_radbp.rendering.renderer"), "compiled", lambda: fused)
-    for module in ("order", "scatter", "tape", "run"):
+    for module in ("order", "scatter", "tape", "run", "stages"):
         monkeypatch.setattr(import_module(f"torch_radbp.jit.{module}"), "target_of", lambda of: device)
     if find_spec("warp"):
         cast_on(getattr(device.launcher, "driver", device.launcher), monkeypatch)

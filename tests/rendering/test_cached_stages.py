@@ -54,7 +54,7 @@ def told(*things) -> set[CodeType]:
     return set().union(*(codes(thing.__code__) for thing in named if isinstance(thing, FunctionType)))
 
 
-@pytest.mark.parametrize("name, sampling, every", [("textures", "hybrid", 2), deep("materials", "attached", 1),
+@pytest.mark.parametrize("name, sampling, every", [("textures", "hybrid", 4), deep("materials", "attached", 1),
                                                    *(deep(name, "hybrid", 1) for name in EVERYTHING)])
 def test_every_function_that_is_traced_belongs_to_the_name(name, sampling, every, monkeypatch):
     """Of the arguments with which a rendering calls stages; it runs them in plain torch, for nothing has to be compiled.

@@ -106,7 +106,7 @@ def some(every: int):
     return pytest.param("networks", "hybrid", every, id="networks-hybrid")
 
 
-@pytest.mark.parametrize("name, sampling, every", [some(2), *ALL])
+@pytest.mark.parametrize("name, sampling, every", [some(4), *ALL])
 def test_every_stage_of_every_appearance_stays_on_its_device(name, sampling, every):
     calls, scene = calls_of(name, sampling), build(name)
     without = NOT_IN.get(name, {"places", *OF_MANY_LAMPS, *OF_TWO_SIDES}) | (OF_SHADOWS if sampling == "attached" else set())
@@ -141,7 +141,7 @@ def kernels_on_cuda(stage: CompiledStage, arguments: tuple, monkeypatch) -> list
     return listing.texts
 
 
-@pytest.mark.parametrize("name, sampling, every", [some(4), *ALL])
+@pytest.mark.parametrize("name, sampling, every", [some(8), *ALL])
 def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, every, monkeypatch):
     """The same kernels as for these arguments on the processor, by a GPU's target; and some where tables lie in rows."""
     stages = CompiledStages()
@@ -151,7 +151,8 @@ def test_every_stage_of_every_appearance_is_ptx_on_cuda(name, sampling, every, m
                                             for leaf in leaves_of(arguments)])  # as tensors without contents lie
             texts, here, in_rows = kernels_on_cuda(stages(stage_named(stage)), apart, monkeypatch), Listing(), Listing()
             load(CompiledStages(Gpu(here))(stage_named(stage)).fused.prepared(apart)[0])
-            load(CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0])
+            if any(isinstance(leaf, Tensor) and not leaf.is_contiguous() for leaf in leaves_of(arguments)):
+                load(CompiledStages(Gpu(in_rows))(stage_named(stage)).fused.prepared(arguments)[0])
             assert texts == here.texts and (texts or stage == "material_value")  # some colours are arguments as they are
             assert all(".visible .entry lanes(" in ptx(text, "sm_90") and "store" in text
                        for text in {*texts, *in_rows.texts})

@@ -10,8 +10,10 @@ import pytest
 import torch
 
 import torch_radbp as rb
+from tests.deep import deep
 from tests.scenes import CASES
 
+LIGHTS = ("cornell", "repeat_bilinear", "two_sided", "textured_lamp")
 BLOCK = 4  # pixels; light found by chance is noisy
 
 
@@ -22,8 +24,8 @@ def blocks(scene, seeds, **settings):
     return torch.nn.functional.avg_pool2d(images, BLOCK)
 
 
-@pytest.mark.parametrize("depth", [2, 4])
-@pytest.mark.parametrize("name", ["cornell", "repeat_bilinear", "two_sided", "textured_lamp"])
+@pytest.mark.parametrize("name, depth", [("cornell", 2), *((name, 4) for name in LIGHTS),
+                                         *(deep(name, 2) for name in LIGHTS if name != "cornell")])
 def test_next_event_estimation_does_not_change_the_expectation(name, depth):
     settings = {"max_depth": depth, "rr_depth": 100}
     scene = CASES[name].scene()

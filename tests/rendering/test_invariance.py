@@ -1,5 +1,7 @@
 """What a rendering must not depend on: chunks, the other sensors of a call, the ray caster, the precision."""
 
+from functools import cache
+
 import pytest
 import torch
 
@@ -13,15 +15,22 @@ ROUNDING = 1e-13  # sums in another order, float64
 LANES = 8 * 8 * 3
 
 
+def in_chunks(size: int, **settings) -> tuple[torch.Tensor, list[torch.Tensor]]:
+    """Image and gradients of the Cornell box."""
+    return image_and_gradients(CASES["cornell"]._replace(arguments={"size": size}).scene(), CASES["cornell"].parameters,
+                               seed=7, spp=3, max_depth=4, rr_depth=2, **settings)
+
+
+at_once = cache(in_chunks)
+
+
 @pytest.mark.parametrize("adjoint", [rb.MemoizedAdjoint(2), rb.TapeAdjoint()], ids=repr)
 @pytest.mark.parametrize("chunk", [2, 3, 7, 31, 64, LANES - 1, LANES, 10**6])
 def test_results_do_not_depend_on_chunk(chunk, adjoint):
-    case, settings = CASES["cornell"], {"spp": 3, "max_depth": 4, "rr_depth": 2, "adjoint": adjoint}
-    if chunk < 7:  # many chunks: fewer pixels
-        case = case._replace(arguments={"size": 4})
-    reference, expected = image_and_gradients(case.scene(), case.parameters, seed=7, **settings)
+    size = 4 if chunk < 7 else 8  # many chunks: fewer pixels
+    reference, expected = at_once(size, adjoint=adjoint)
     assert_informative(reference, expected)
-    image, gradients = image_and_gradients(case.scene(), case.parameters, seed=7, chunk=chunk, **settings)
+    image, gradients = in_chunks(size, adjoint=adjoint, chunk=chunk)
     assert relative_error(image, reference) < ROUNDING
     for gradient, wanted in zip(gradients, expected):
         assert relative_error(gradient, wanted) < ROUNDING
@@ -134,9 +143,8 @@ def test_defaults_come_from_the_scene():
 
 @pytest.mark.parametrize("budget", ["1GiB", "4MiB", 3_000_000])
 def test_results_do_not_depend_on_the_memory_budget(budget):
-    case, settings = CASES["cornell"], {"spp": 3, "max_depth": 4, "rr_depth": 2}
-    reference, expected = image_and_gradients(case.scene(), case.parameters, **settings)
-    image, gradients = image_and_gradients(case.scene(), case.parameters, memory_budget=budget, **settings)
+    reference, expected = at_once(8)
+    image, gradients = in_chunks(8, memory_budget=budget)
     assert relative_error(image, reference) < ROUNDING
     for gradient, wanted in zip(gradients, expected):
         assert wanted.abs().max() > 0 and relative_error(gradient, wanted) < ROUNDING

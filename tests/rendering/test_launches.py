@@ -6,6 +6,7 @@ No GPU is needed: kernels run on the processor (`tests/jit/emulated.py`), and ra
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -34,13 +35,13 @@ pytestmark = pytest.mark.filterwarnings("ignore::torch_radbp.SilhouetteWarning",
 SMALL = SETTINGS | {"spp": 2, "max_depth": 4, "caster": "warp"}
 
 
-
-@pytest.fixture
-def gpu(monkeypatch) -> Gpu:
-    """A GPU on which compiled renderings run during the test; it begins with nothing compiled."""
+@pytest.fixture(scope="module")
+def gpu() -> Iterator[Gpu]:
+    """A GPU on which compiled renderings run; what one test has compiled the others find."""
     device = Gpu(Emulated())
-    render_on(device, monkeypatch, taped=True)
-    return device
+    with pytest.MonkeyPatch.context() as patch:
+        render_on(device, patch, taped=True)
+        yield device
 
 
 def assert_same_bits(build, gpu: Gpu, monkeypatch, **settings) -> int:
@@ -59,6 +60,24 @@ def assert_same_bits(build, gpu: Gpu, monkeypatch, **settings) -> int:
     return found
 
 
+@needs_interpreter
+@pytest.mark.parametrize("name", ["box", deep("smoke"), deep("networks")])
+def test_ptx_renders_what_torch_does(name, monkeypatch):
+    """The first test, before `gpu` is there for all others."""
+    monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
+    build, names, depth = {"box": (lambda: cornell(torch.float32, 8), CASES["cornell"].parameters, 3),
+                           "smoke": (lambda: smoke.room(smoke.varied(3)).float(), smoke.NAMES, 2),
+                           "networks": (lambda: room(dtype=torch.float32), NETWORKS, 3)}[name]
+    device, settings = Gpu(interpreted().launcher), {"spp": 2, "max_depth": depth, "rr_depth": 2, "caster": "warp"}
+    expected, gradients = image_and_gradients(build(), names, compile=False, **settings)
+    render_on(device, monkeypatch, taped=True)
+    image, found = image_and_gradients(build(), names, compile=True, **settings)
+    assert expected.std() > 0 and relative_error(image, expected) < 1e-5
+    for each, gradient, wanted in zip(names, found, gradients):
+        assert wanted.abs().max() > 0 and relative_error(gradient, wanted) < 1e-4, each
+    assert {"counts", "count", "sum", "place", "lanes", "put", "scatter"} <= set(device.launcher.driver.launches)
+
+
 @pytest.mark.parametrize("name, sampling", [case if case in SOME else deep(*case) for case in WAYS])
 def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu, monkeypatch):
     found = assert_same_bits(lambda: SCENES[name](torch.float32), gpu, monkeypatch, sampling=sampling)
@@ -73,7 +92,6 @@ def test_images_and_gradients_have_the_bits_of_single_calls(name, sampling, gpu,
 def test_so_they_have_with_other_settings(settings, gpu, monkeypatch):
     found = assert_same_bits(lambda: SCENES["two sides"](torch.float32), gpu, monkeypatch, **settings)
     assert found >= 2 * settings.get("max_depth", SMALL["max_depth"])
-
 
 
 def test_so_they_have_where_groups_have_trees_of_their_own(gpu, monkeypatch):
@@ -281,12 +299,14 @@ def test_graphs_have_the_bits_of_launches(name, gpu, monkeypatch):
                 else MEDIA[name][0]().to(torch.float32))
 
     names = NETWORKS if name == "networks" else MEDIA[name][1].NAMES if name in MEDIA else None
+    monkeypatch.setattr(Graphs, "of", lambda self, given, make: None)
+    sequences, replays = gpu.launcher.sequences, gpu.launcher.replays
     expected, others = rendered(build(), names, **SMALL)
-    assert gpu.launcher.replays == 0 < gpu.launcher.sequences
-    before = gpu.launcher.sequences
+    assert gpu.launcher.replays == replays and gpu.launcher.sequences > sequences
+    sequences = gpu.launcher.sequences
     monkeypatch.setattr(Graphs, "of", lambda self, given, make: make())
     image, gradients = rendered(build(), names, **SMALL)
-    assert gpu.launcher.replays == gpu.launcher.sequences - before
+    assert gpu.launcher.replays - replays == gpu.launcher.sequences - sequences > 0
     assert expected.std() > 0 and torch.equal(image, expected) and gradients.keys() == others.keys()
     for name, other in others.items():
         assert torch.isfinite(other).all() and torch.equal(gradients[name], other), name
@@ -339,20 +359,3 @@ def test_the_host_waits_for_nothing_between_bounces(taped, adjoint, gpu, monkeyp
     assert bool(called_more - called) != taped, called_more - called
     if adjoint.records_all:  # a sequence for each bounce, forwards and backwards
         assert more - once == (2 * 2 if taped else 0)
-
-
-@needs_interpreter
-@pytest.mark.parametrize("name", ["box", deep("smoke"), deep("networks")])
-def test_ptx_renders_what_torch_does(name, monkeypatch):
-    monkeypatch.setenv("RADBP_KERNEL_CACHE", "off")
-    build, names, depth = {"box": (lambda: cornell(torch.float32, 8), CASES["cornell"].parameters, 3),
-                           "smoke": (lambda: smoke.room(smoke.varied(3)).float(), smoke.NAMES, 2),
-                           "networks": (lambda: room(dtype=torch.float32), NETWORKS, 3)}[name]
-    device, settings = Gpu(interpreted().launcher), {"spp": 2, "max_depth": depth, "rr_depth": 2, "caster": "warp"}
-    expected, gradients = image_and_gradients(build(), names, compile=False, **settings)
-    render_on(device, monkeypatch, taped=True)
-    image, found = image_and_gradients(build(), names, compile=True, **settings)
-    assert expected.std() > 0 and relative_error(image, expected) < 1e-5
-    for each, gradient, wanted in zip(names, found, gradients):
-        assert wanted.abs().max() > 0 and relative_error(gradient, wanted) < 1e-4, each
-    assert {"counts", "count", "sum", "place", "lanes", "put", "scatter"} <= set(device.launcher.driver.launches)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torch_radbp as rb
-from tests.gradients import assert_informative, cotangent, relative_error
+from tests.gradients import assert_informative, cotangent, relative_error, unwarned_renderer
 from tests.scenes import CASES, cornell, parameters
 
 NAMES = CASES["cornell"].parameters
@@ -40,7 +40,7 @@ def gradients(settings, call, by: float) -> tuple[torch.Tensor, list[torch.Tenso
     """Of a first image, with the box moved and rendered again before they are asked for."""
     scene = cornell(torch.float32, 16)
     wanted = parameters(scene, NAMES)
-    renderer = rb.Renderer(scene, **settings)
+    renderer = unwarned_renderer(scene, **settings)
     image = renderer(seed=3, **call)
     if by:
         move(scene, by)
@@ -97,7 +97,7 @@ def test_a_scene_in_another_dtype_gets_another_caster():
 def test_a_caster_lives_as_long_as_the_graph_that_needs_it():
     scene = cornell()
     wanted = parameters(scene, NAMES)
-    renderer = rb.Renderer(scene, adjoint=rb.MemoizedAdjoint(keep_hits=False), **SETTINGS)
+    renderer = unwarned_renderer(scene, adjoint=rb.MemoizedAdjoint(keep_hits=False), **SETTINGS)
     image = renderer()
     first = weakref.ref(renderer.last_caster)
     move(scene, 0.1)
@@ -116,7 +116,7 @@ def test_casters_of_the_past_are_freed(differentiated):
     scene = cornell()
     if differentiated:
         parameters(scene, NAMES)
-    renderer = rb.Renderer(scene, share_samples=True, **SETTINGS)
+    renderer = unwarned_renderer(scene, share_samples=True, **SETTINGS)
     casters, images = [], []
     for _ in range(4):
         images.append(renderer())

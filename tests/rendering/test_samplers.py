@@ -1,5 +1,7 @@
 """The samplers of sensors: the same means, images and gradients, with less noise by default."""
 
+from functools import cache
+
 import pytest
 import torch
 
@@ -10,6 +12,7 @@ from torch_radbp.plugin import REGISTRY
 BATCHES = 24
 
 
+@cache
 def batches(kind: str | None):
     """(BATCHES, ...) images of a Cornell box, and the gradients of their sums by the colours of a wall and the lamp."""
     chosen = {} if kind is None else {"sampler": {"type": kind, "sample_count": 16}}

@@ -62,7 +62,7 @@ def test_a_compiled_renderer_gives_the_same_image_and_gradient(backend, adjoint,
     assert compiler_counts["stats"]["unique_graphs"] == 0  # nothing of the tracer
 
 
-@pytest.mark.parametrize("backend", [deep("eager"), "aot_eager"])
+@pytest.mark.parametrize("backend", ["eager", deep("aot_eager")])
 def test_a_compiled_step_has_the_same_loss_and_gradient(backend, compiler_counts):
     scene, renderer = scene_and_renderer()
     other, plain = scene_and_renderer()

@@ -8,7 +8,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep
-from tests.gradients import assert_informative, cotangent, relative_error
+from tests.gradients import assert_informative, cotangent, relative_error, unwarned_renderer
 from tests.scenes import cornell, diffuse, load, rectangle, rgb, sensor
 from torch_radbp.film.hdrfilm import HDRFilm
 
@@ -96,7 +96,7 @@ NAMES = ("white.reflectance.value", "light.emitter.radiance.value", "camera_0.to
 def test_gradients_are_those_of_the_whole_image_with_a_loss_on_the_same_pixels(rfilter, share, adjoint):
     scene = room(rfilter=rfilter)
     wanted = [scene.get_parameter(name).requires_grad_() for name in NAMES]
-    renderer = rb.Renderer(scene, spp=3, max_depth=3, adjoint=adjoint, share_samples=share, terms=["interior"])
+    renderer = unwarned_renderer(scene, spp=3, max_depth=3, adjoint=adjoint, share_samples=share, terms=["interior"])
     whole, part = renderer(seed=2), renderer(seed=2, window=WINDOW)
     w = cotangent(part.detach())
     expected = torch.autograd.grad(cut(whole, WINDOW), wanted, w)

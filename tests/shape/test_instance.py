@@ -9,6 +9,7 @@ import torch
 
 import torch_radbp as rb
 from tests.deep import deep
+from tests.gradients import unwarned_renderer
 from tests.scenes import diffuse, load, rectangle, rgb, sensor, texels
 from tests.scenes.quadrilateral import coloured_file
 from tests.shape.surfaces import TEXTURED, meets, of_point
@@ -133,7 +134,7 @@ def gradients(scene: rb.Scene, names: list[str], sampling: str) -> list[torch.Te
     parameters = [scene.get_parameter(name).requires_grad_() for name in names]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
-        image = rb.Renderer(scene, sampling=sampling, terms=["interior"], **settings(compile=False))(seed=3)
+        image = unwarned_renderer(scene, sampling=sampling, terms=["interior"], **settings(compile=False))(seed=3)
     cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(1), dtype=image.dtype)
     return torch.autograd.grad(image, parameters, cotangent)
 
@@ -260,9 +261,9 @@ def test_forward_mode_is_the_transpose():
     tangents["instance_1.to_world"][3] = 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rb.SilhouetteWarning)
-        derivative = rb.jvp(scene, tangents, seed=3, **settings(compile=False))
+        derivative = rb.jvp(scene, tangents, seed=3, **settings(compile=False, spp=1, max_depth=3))
         parameters = [scene.get_parameter(name).requires_grad_() for name in names]
-        image = rb.Renderer(scene, **settings(compile=False))(seed=3)
+        image = unwarned_renderer(scene, **settings(compile=False, spp=1, max_depth=3))(seed=3)
     cotangent = torch.randn(image.shape, generator=generator, dtype=torch.float64)
     gradients = torch.autograd.grad(image, parameters, cotangent)
     backward = sum((gradient * tangents[name]).sum() for gradient, name in zip(gradients, names))

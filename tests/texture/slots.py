@@ -8,3 +8,4 @@ OTHERS = {"blendbsdf": {"first": WHITE, "second": {"type": "roughconductor", "ma
           "mask": {"nested": WHITE}, "normalmap": {"nested": WHITE}, "bumpmap": {"nested": WHITE}}
 SLOTS = [(kind, name) for kind, cls in REGISTRY["bsdf"].items() for name, attribute in attributes(cls).items()
          if Texture in options(attribute.annotation)]
+FIRST = {kind: name for kind, name in reversed(SLOTS)}.items()  # of each material

@@ -1,6 +1,5 @@
 """Code that is made meanwhile: once, by whoever comes first, and errors reach whoever asks."""
 
-import os
 import subprocess
 import sys
 from functools import partial
@@ -17,16 +16,33 @@ from torch_radbp.jit.recording.results import RecordedInputs
 from torch_radbp.jit.target import Cpu
 from torch_radbp.threads.later import Later
 
-LEAVES = """
+ENDS = """
 import os
 from functools import partial
 from threading import Event
 from torch_radbp.threads.later import Later
+
+if hasattr(os, "fork"):
+    working, made = Event(), []
+    def make():
+        working.set()
+        Event().wait(0.2)
+        made.append(1)
+    Later(make).meanwhile()
+    working.wait()
+    if os.fork():
+        assert os.wait()[1] == 0
+    else:
+        assert made == [1]  # a helper that was at work has finished
+        found = Event()
+        Later(found.set).meanwhile()
+        os._exit(0 if found.wait(60) else 3)
+
 os.cpu_count = lambda: 2
 begun = {"meanwhile": Event(), "beside": Event()}
 def work(helped):
     begun[helped].set()
-    Event().wait(0.5)
+    Event().wait(0.2)
     print(f"finished {helped}\\n", end="", flush=True)
 laters = [getattr(Later(partial(work, helped)), helped)() for helped in begun for _ in range(3)]
 for event in begun.values():
@@ -69,7 +85,8 @@ def test_whoever_asks_is_told_of_an_error_and_may_ask_again():
 
 
 def test_a_process_that_ends_waits_for_what_helpers_have_begun_and_begins_nothing_more():
-    done = subprocess.run([sys.executable, "-c", LEAVES], capture_output=True, text=True, timeout=120)
+    """A fork waits for the helper, too, and has one of its own."""
+    done = subprocess.run([sys.executable, "-c", ENDS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and done.stderr == ""
     assert done.stdout.count("finished meanwhile\n") == 1 <= done.stdout.count("finished beside\n") <= 2
 
@@ -97,32 +114,6 @@ def test_an_error_of_a_helper_waits_for_who_needs_the_value():
     with pytest.raises(RuntimeError, match="failed on a helper"):
         later.result()
     assert later.result() == 5 and tried[0] is not main_thread() and tried[1] is main_thread()
-
-
-FORKS = """
-import os
-from threading import Event
-from torch_radbp.threads.later import Later
-begun, made = Event(), []
-def work():
-    begun.set()
-    Event().wait(0.5)
-    made.append(1)
-Later(work).meanwhile()
-begun.wait()
-if os.fork():
-    raise SystemExit(os.waitstatus_to_exitcode(os.wait()[1]))
-assert made == [1]  # a helper that was at work has finished
-found = Event()
-Later(found.set).meanwhile()
-os._exit(0 if found.wait(60) else 3)
-"""
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes cannot be forked here")
-def test_a_fork_waits_for_the_helper_and_has_one_of_its_own():
-    done = subprocess.run([sys.executable, "-c", FORKS], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
 
 
 def test_errors_of_the_compiler_reach_whoever_runs_the_function(monkeypatch):
