@@ -124,6 +124,12 @@ def floors() -> dict[str, int]:
     return floor
 
 
+@pytest.fixture(scope="module")
+def trees() -> dict[Path, ast.Module]:
+    """All files of the package, which are read once for several tests."""
+    return {path: ast.parse(path.read_text()) for path in FILES}
+
+
 def test_the_imports_are_found():
     assert len(IMPORTS) > 1000 and len(STAGES) > 50
     assert {"path", "adjoint", "scene.tables", "tensors", "torch_radbp"} <= {i.imported for i in IMPORTS}
@@ -141,8 +147,8 @@ class Functions:
     assert set(modules_named(tree, Path())) == {(2, "torch_radbp.path.trace"), (3, home), (5, home)}
 
 
-def test_every_room_is_in_the_picture_once():
-    with_code = {room_of(path) for path in FILES if len(ast.parse(path.read_text()).body) > 1}
+def test_every_room_is_in_the_picture_once(trees):
+    with_code = {room_of(path) for path, tree in trees.items() if len(tree.body) > 1}
     assert sorted(with_code) == sorted(ROOMS)
 
 
@@ -156,10 +162,10 @@ def test_rooms_have_few_floors_and_no_circles():
     assert max(floor.values()) <= FLOORS, sorted(floor.items(), key=lambda each: each[1])
 
 
-def test_a_part_is_not_asked_of_the_package():
+def test_a_part_is_not_asked_of_the_package(trees):
     """`from torch_radbp import adjoint` imports all public names first, and so, perhaps, the module that it stands in."""
-    wrong = [f"{path}:{node.lineno}" for path in FILES if not path.is_relative_to(TRAINING)
-             for node in running(ast.parse(path.read_text()))
+    wrong = [f"{path}:{node.lineno}" for path, tree in trees.items() if not path.is_relative_to(TRAINING)
+             for node in running(tree)
              if isinstance(node, ast.ImportFrom) and node.module == "torch_radbp"]
     assert not wrong, wrong
 
@@ -169,11 +175,11 @@ def is_module(name: str) -> bool:
     return importlib.util.find_spec(name) is not None
 
 
-def test_what_is_imported_exists():
+def test_what_is_imported_exists(trees):
     """Inside functions, too, which no other test need run."""
     wrong = []
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("torch_radbp"):
                 module = importlib.import_module(node.module)
                 for alias in node.names:
@@ -197,11 +203,11 @@ def test_nothing_is_imported_from_a_test():
     assert len(found) > 1000 and not wrong, wrong
 
 
-def test_no_two_things_of_the_package_have_one_name():
+def test_no_two_things_of_the_package_have_one_name(trees):
     """Classes and functions at the top of files; those with a leading underscore are for their file alone."""
     homes: dict[str, set[str]] = {}
-    for path in PACKAGE.rglob("*.py"):
-        for node in ast.parse(path.read_text()).body:
+    for path in (path for path in FILES if path.is_relative_to(PACKAGE)):
+        for node in trees[path].body:
             if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_"):
                 homes.setdefault(node.name, set()).add(str(path.relative_to(PACKAGE)))
     shared = [f"{name}: {', '.join(sorted(files))}" for name, files in sorted(homes.items()) if len(files) > 1]
