@@ -99,6 +99,7 @@ def run_command(command: Sequence[object], *, check: bool = False, **settings) -
     """`subprocess.run` of a command of `radbp`, in this process."""
     words, said, status = list(map(str, command)), io.StringIO(), 0
     assert words[:len(RADBP)] == RADBP, words
+    words += ["-D", "report.deviations=none"] if "optimize" in words else []
     with contextlib.redirect_stdout(said):
         try:
             cli.app(words[len(RADBP):])

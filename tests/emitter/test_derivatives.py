@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, normalize
 from torch_radbp.vertex.emission import emitted, emitted_pdf
 from torch_radbp.vertex.interaction import surface_interaction
 
-LANES = 8
+LANES = 10
 MESH = {"lamp": SQUARE | {"emitter": {"type": "area", "radiance": slide()}}}
 SCENES = {**EMITTERS, "area_mesh": MESH}
 del SCENES["area_sphere"], SCENES["constant"], SCENES["envmap_compensated"]
