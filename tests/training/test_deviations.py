@@ -133,8 +133,8 @@ def test_table_and_report_have_deviations_and_correlations(noisy, radbp):
 
 
 def few_texels(folder):
-    """Gives the wall a picture of 2 x 2 texels."""
-    save_image(folder / "picture.png", torch.rand(3, 2, 2, generator=torch.Generator().manual_seed(1)))
+    """Gives the wall a picture of 2 x 3 texels, the fewest that are shown as one."""
+    save_image(folder / "picture.png", torch.rand(3, 2, 3, generator=torch.Generator().manual_seed(1)))
 
 
 def test_texels_have_a_picture_of_deviations(noisy):
@@ -142,7 +142,7 @@ def test_texels_have_a_picture_of_deviations(noisy):
     summary, report = finished(noisy, "parameters.0.name='picture.reflectance.data'", "parameters.0.initial=0.5",
                                "report.deviations='all'")
     found = summary["deviations"]
-    assert found["computed"] and len(found["names"]) == 12 and None not in found["deviations"]
+    assert found["computed"] and len(found["names"]) == 18 and None not in found["deviations"]
     assert found["maps"][0]["largest"] == pytest.approx(max(found["deviations"]))
     assert "standard deviation" in report
 
@@ -160,7 +160,7 @@ def test_many_texels_are_probed_and_unseen_ones_have_the_prior(noisy, monkeypatc
     assert 0 < found["maps"][0]["median"] < found["maps"][0]["largest"] < 1.5 * prior
     folder = next(noisy.glob("run*"))
     picture = read_image(folder / "textures" / "picture.reflectance.data_deviations.png")
-    assert picture.shape == (2, 2, 3) and float(picture.std()) > 0.05
+    assert picture.shape == (2, 3, 3) and float(picture.std()) > 0.05
     assert "standard deviation" in report and "uniform distribution" in report
 
 
