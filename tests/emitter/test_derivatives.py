@@ -23,7 +23,7 @@ from torch_radbp.tensors.vec import Ray, Vec3, normalize
 from torch_radbp.vertex.emission import emitted, emitted_pdf
 from torch_radbp.vertex.interaction import surface_interaction
 
-LANES = 10
+LANES, RAYS = 8, 12
 MESH = {"lamp": SQUARE | {"emitter": {"type": "area", "radiance": slide()}}}
 SCENES = {**EMITTERS, "area_mesh": MESH}
 del SCENES["area_sphere"], SCENES["constant"], SCENES["envmap_compensated"]
@@ -48,7 +48,7 @@ PARAMETERS = {
 class Sampled(nn.Module):
     """What next-event estimation finds, as a function of a scene's parameters and of the surface points."""
 
-    def __init__(self, scene, seed: int = 1, count: int = LANES):
+    def __init__(self, scene, seed: int = 3, count: int = LANES):
         super().__init__()
         self.scene, self.proposal = scene, detached(scene)
         self.si = on_the_floor(scene, self.proposal, count, seed).si
@@ -65,7 +65,7 @@ class Sampled(nn.Module):
 class Hit(nn.Module):
     """What a ray sees of the lights, as a function of a scene's parameters and of the ray."""
 
-    def __init__(self, scene, seed: int = 2, count: int = LANES):
+    def __init__(self, scene, seed: int = 2, count: int = RAYS):
         super().__init__()
         self.scene, self.proposal = scene, detached(scene)
         x, y, z = uniform(count, seed)
@@ -184,7 +184,7 @@ def along(scene, parameter: str) -> torch.Tensor:
 
 @pytest.mark.parametrize("name, parameter", [
     ("area", "lamp.to_world"), ("area_mesh", "lamp.vertex_positions"), ("envmap", "lamp.to_world"), ("envmap", "lamp.data"),
-    ("all", "area_lamp.to_world"), ("all", "envmap_lamp.to_world"), ("area", "lamp.emitter.radiance.data")])
+    ("all", "area_lamp.to_world"), deep("all", "envmap_lamp.to_world"), ("area", "lamp.emitter.radiance.data")])
 def test_the_derivative_of_irradiance_is_that_of_independent_finite_differences(name, parameter):
     """Shear and scale change the area of the light; the differences draw samples of their own, where the light now is."""
 
