@@ -70,7 +70,7 @@ def test_a_blend_at_its_end_is_the_material_there(pair, weight, dtype, compile):
 
 @pytest.mark.parametrize("weight, pair, sampling", [
     (0, "diffuse and mirror", "detached"), (1, "diffuse and mirror", "hybrid"), (0, "diffuse and mirror", "attached"),
-    (1, "glass and plastic", "detached"), (0, "glass and plastic", "attached"),  # hybrid sampling follows glass that is alone
+    (1, "glass and plastic", "detached"), (0, "glass and plastic", "attached"),  # hybrid sampling follows glass alone
     deep(1, "diffuse and mirror", "detached"), deep(0, "diffuse and mirror", "hybrid"),
     deep(1, "diffuse and mirror", "attached"), deep(0, "glass and plastic", "detached"),
     deep(1, "glass and plastic", "attached")])

@@ -2,7 +2,8 @@
 
 `torch.autograd.gradcheck` in float64, slow mode: poses, positions and texels move in `scene`, `proposal` stays. All
 entries of a parameter move at once, in a few random directions, and of each result two random sums over its lanes and
-components are differentiated: all derivatives are in them. And in expectation: irradiance from glued samples against finite differences of independent estimates, which move both.
+components are differentiated: all derivatives are in them. And in expectation: irradiance from glued samples against
+finite differences of independent estimates, which move both.
 
 Reference: Zhang et al. 2020; Worchel et al. 2025, on what is missed without the area and the geometry term.
 """

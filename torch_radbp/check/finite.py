@@ -72,7 +72,7 @@ class Lanes(NamedTuple):
     def troubles(self, outputs: dict[str, Vec3 | Tensor]) -> Iterator[str]:
         """Yields what is not finite of some outputs and their derivatives, in words; nothing costs one backward pass."""
         tensors = [tensor for output in outputs.values() for tensor in (output if isinstance(output, Vec3) else [output])]
-        total = sum(tensor.sum() for tensor in tensors)
+        total = torch.stack([tensor.sum() for tensor in tensors]).sum()
         leaves = [part for part in self.named().values() if part.requires_grad]
         slopes = torch.autograd.grad(total, leaves, allow_unused=True, retain_graph=True) if total.requires_grad else ()
         # Of sums, since what is not finite stays so in them; they may overflow, and then no output is to blame.
