@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.deep import deep
 from tests.slowest import table
 
 CONFTEST = Path(__file__).with_name("conftest.py").read_text().replace('pytest_plugins = ["pytester"]', "")
@@ -72,7 +73,7 @@ def test_tests_that_use_threads_run_with_one_thread_and_with_two(run):
     result.assert_outcomes(passed=4)
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.parametrize("workers", ["0", "1", deep("2")])
 def test_durations_of_all_tests_are_kept_the_longest_first(run, pytester, workers):
     pytest.importorskip("xdist")
     run("""

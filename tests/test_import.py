@@ -11,9 +11,3 @@ def test_the_package_imports_no_compiler_and_no_mesh_library():
     output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert output.strip() == "[]"
 
-
-def test_runs_import_tensorboard_when_they_write_for_it_and_nothing_else_does():
-    program = ("import sys, torch_radbp.training.run, torch_radbp.training.commands.check, torch_radbp.training.cli\n"
-               "print(sorted({name.partition('.')[0] for name in sys.modules} & {'tensorboard', 'tensorflow'}))")
-    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    assert output.strip() == "[]"

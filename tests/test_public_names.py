@@ -32,14 +32,18 @@ assert not heavy, heavy
 """)
 
 
-def test_plugins_and_public_names_are_there_whatever_is_imported_first():
+def test_plugins_and_public_names_are_there_whatever_is_imported_first_and_no_run_needs_tensorboard():
+    """Runs import it when they write for it."""
     in_a_new_process("""
+import sys
 from torch_radbp.plugin import REGISTRY
 assert "diffuse" in REGISTRY["bsdf"] and "path" in REGISTRY["integrator"] and len(REGISTRY["shape"]) > 5
 import torch_radbp.rendering.jvp, torch_radbp.rendering.renderer
 import torch_radbp as rb
 from torch_radbp import *
 assert render is rb.render and callable(render) and callable(jvp) and Scene is rb.Scene
+import torch_radbp.training.run, torch_radbp.training.commands.check, torch_radbp.training.cli
+assert not {name.partition(".")[0] for name in sys.modules} & {"tensorboard", "tensorflow"}
 """)
 
 

@@ -68,10 +68,12 @@ def test_a_blend_at_its_end_is_the_material_there(pair, weight, dtype, compile):
     assert close.float().mean() > (0.9 if dtype == torch.float32 else 0.9999)
 
 
-@pytest.mark.parametrize("pair, sampling", [
-    ("diffuse and mirror", "detached"), ("diffuse and mirror", "hybrid"), ("diffuse and mirror", "attached"),
-    ("glass and plastic", "detached"), ("glass and plastic", "attached")])  # hybrid sampling follows glass that is alone
-@pytest.mark.parametrize("weight", [0, 1])
+@pytest.mark.parametrize("weight, pair, sampling", [
+    (0, "diffuse and mirror", "detached"), (1, "diffuse and mirror", "hybrid"), (0, "diffuse and mirror", "attached"),
+    (1, "glass and plastic", "detached"), (0, "glass and plastic", "attached"),  # hybrid sampling follows glass alone
+    deep(1, "diffuse and mirror", "detached"), deep(0, "diffuse and mirror", "hybrid"),
+    deep(1, "diffuse and mirror", "attached"), deep(0, "glass and plastic", "detached"),
+    deep(1, "glass and plastic", "attached")])
 def test_so_are_its_derivatives(pair, weight, sampling):
     """By the pose of the plane and a colour of the material."""
     gradients = []

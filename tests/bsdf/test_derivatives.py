@@ -16,14 +16,15 @@ class Setting:
 
     def __init__(self, name: str, wi: Vec3 | None = None):
         bsdf = material(MATERIALS[name])
-        self.kind, self.random = bsdf.kind(), random_numbers(COUNT)
         self.wi = directions(COUNT, 3) if wi is None else wi
+        count = len(self.wi.z)
+        self.kind, self.random = bsdf.kind(), random_numbers(count)
         if not self.kind.transmits:
             self.wi = self.wi._replace(z=self.wi.z.abs())
         values = values_of(bsdf, self.wi.z)
         self.choice, wo = sampled(self.kind, values, self.wi, self.random)
         # Half of the directions at random, half sampled, where sharp lobes are.
-        other, first = directions(COUNT, 4), (torch.arange(COUNT) % 2 == 0) & (wo.z != 0)
+        other, first = directions(count, 4), (torch.arange(count) % 2 == 0) & (wo.z != 0)
         self.wo = Vec3(*(torch.where(first, a, b).detach() for a, b in zip(wo, other)))
         self.sampled_wo = wo.detach()
         self.values = values
@@ -37,27 +38,27 @@ class Setting:
         return tuple(vectors[:len(self.values)]), *vectors[len(self.values):]
 
     def check(self, function, *vectors: Vec3) -> None:
-        """Lane by lane derivatives: the lanes are independent, so that a step that all take together gives them all."""
-        leaves = [leaf.detach() for leaf in self.leaves(*vectors)]
-        steps = [torch.zeros((), dtype=torch.float64, requires_grad=True) for _ in leaves]
+        """Lane by lane derivatives: the lanes are independent, so that the sum over all of them has those of each."""
+        leaves = self.leaves(*vectors)
 
-        def of_steps(*tensors):
-            result = function(*self.unpack([leaf + step for leaf, step in zip(leaves, tensors)]))
-            return result.stack() if isinstance(result, Vec3) else result
+        def outputs(*tensors):
+            result = function(*self.unpack(tensors))
+            return torch.stack([*result] if isinstance(result, Vec3) else [result])
 
-        reference = of_steps(*steps)
+        reference = outputs(*leaves)
         assert torch.isfinite(reference).all() and reference.abs().max() > 0
         if not reference.requires_grad:  # a density that is the same for all directions
-            assert torch.equal(of_steps(*[step + 1e-6 for step in steps]), reference)
+            assert torch.equal(outputs(*[leaf + 1e-6 for leaf in leaves]), reference)
             return
         # Normalised lane by lane: a sharp lobe must not hide the others, nor lift them above the tolerance.
         scale = 1 / reference.detach().abs().clamp_min(1e-3)
-        found = torch.autograd.functional.jacobian(lambda *tensors: of_steps(*tensors) * scale, tuple(steps), vectorize=True)
+        of_columns = [torch.autograd.grad(column.sum(), leaves, retain_graph=True, materialize_grads=True)
+                      for column in reference * scale]
+        steps = 1e-7 * torch.eye(len(leaves), dtype=torch.float64)[:, :, None]  # a row for each leaf that moves
         with torch.no_grad():
-            for number, jacobian in enumerate(found):
-                up, down = (of_steps(*(sign * 1e-7 * (number == other) + step for other, step in enumerate(steps))) * scale
-                            for sign in (1, -1))
-                torch.testing.assert_close(jacobian, (up - down) / 2e-7, atol=2e-5, rtol=2e-5)
+            up, down = (outputs(*(leaf + sign * step for leaf, step in zip(leaves, steps))) for sign in (1, -1))
+        for slopes, difference in zip(of_columns, (up - down) / 2e-7 * scale[:, None]):
+            torch.testing.assert_close(torch.stack(slopes), difference, atol=2e-5, rtol=2e-5)
 
 
 @pytest.mark.parametrize("name", SMOOTH)
@@ -77,11 +78,11 @@ def test_sampled_directions(name):
                   setting.wi)
 
 
-@pytest.mark.parametrize("z", [1.0, 1 - 1e-12, 0.01])
 @pytest.mark.parametrize("name", TURNED)
-def test_sampled_directions_at_normal_and_grazing_incidence(name, z):
+def test_sampled_directions_at_normal_and_grazing_incidence(name):
     """At normal incidence the azimuth is not defined, but the map from wi to wo is smooth."""
-    setting = Setting(name, direction(z, 0.3, COUNT))
+    normal, nearly, grazing = (direction(z, 0.3, COUNT) for z in (1.0, 1 - 1e-12, 0.01))
+    setting = Setting(name, Vec3(*map(torch.cat, zip(normal, nearly, grazing))))
     setting.check(lambda values, wi: setting.kind.sample(values, wi, setting.choice, setting.random.u, setting.random.v),
                   setting.wi)
 

@@ -153,15 +153,15 @@ def test_bmp_of_five_and_six_bits_is_read_as_before(tmp_path):
 @pytest.mark.hostile
 @pytest.mark.skipif(sys.platform != "linux", reason="addresses are limited as on Linux")
 def test_memory_that_the_system_refuses_is_said_with_the_file(tmp_path):
-    """A picture of 8000 x 8000 pixels takes 192 MB as bytes and 768 MB as numbers; 400 MB of addresses are allowed."""
+    """A picture of 4000 x 4000 pixels takes 48 MB as bytes and 192 MB as numbers; 150 MB of addresses are allowed."""
     path = tmp_path / "large.png"
-    Image.new("L", (8000, 8000)).convert("RGB").save(path, compress_level=1)
-    camera = rb.camera_from_opencv(torch.eye(3), torch.eye(3), torch.zeros(3), 8000, 8000)
+    Image.new("L", (4000, 4000)).convert("RGB").save(path, compress_level=1)
+    camera = rb.camera_from_opencv(torch.eye(3), torch.eye(3), torch.zeros(3), 4000, 4000)
     photographs = rb.Photographs([path], [camera])
     before = resource.getrlimit(resource.RLIMIT_AS)
     held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     for call in (lambda: read_image(path), lambda: photographs[0]):
-        resource.setrlimit(resource.RLIMIT_AS, (held + 400 * 2**20, before[1]))
+        resource.setrlimit(resource.RLIMIT_AS, (held + 150 * 2**20, before[1]))
         try:
             with pytest.raises(MemoryError, match=r"large\.png: the system refused the memory for its content"):
                 call()

@@ -463,7 +463,7 @@ DICTS = {
     "deep nesting": (scene_dict(a=nested(150)), ["a.inner.inner", "nested more than 100 deep"]),
     "a dict in many places": (
         scene_dict(a=doubled(40)),
-        ["the scene has more than 100000 objects", "give it an id and refer to it"],
+        ["the scene has more than 1000 objects", "give it an id and refer to it"],
     ),
     "chain of references": (
         scene_dict(last={"type": "diffuse"}, **{f"b{i}": {"type": "twosided", "inner": {
@@ -474,8 +474,9 @@ DICTS = {
 
 
 @pytest.mark.parametrize("case", DICTS)
-def test_bad_dicts_name_the_path_of_keys(case):
+def test_bad_dicts_name_the_path_of_keys(case, monkeypatch):
     description, fragments = DICTS[case]
+    monkeypatch.setattr("torch_radbp.io.build.MAX_OBJECTS", 1000)
     with pytest.raises(SceneError) as caught:
         load_dict(description)
     assert_contains(str(caught.value), fragments)

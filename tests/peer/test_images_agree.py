@@ -40,7 +40,7 @@ def assert_agrees(comparison: Comparison) -> None:
     assert comparison.bias_error.max() < 0.006, f"too noisy to find an error of 2%: {comparison}"
 
 
-@pytest.mark.parametrize("name", deep_but_every(6, CASES))
+@pytest.mark.parametrize("name", deep_but_every(7, CASES))
 def test_image_agrees_with_mitsuba(name, tmp_path):
     assert_agrees(against_reference(name, tmp_path))
 

@@ -70,18 +70,24 @@ name = "cosine"
 [report]
 spp = 4
 checkpoint_every = 2
+deviations = "none"
 """
+
+
+def write_files(folder: Path) -> Path:
+    """Writes scene.xml, picture.png (4 x 4), target.exr and recipe.toml into a folder."""
+    generator = torch.Generator().manual_seed(1)
+    save_image(folder / "picture.png", torch.rand(3, 4, 4, generator=generator))
+    save_image(folder / "target.exr", torch.rand(3, 6, 8, generator=generator))
+    (folder / "scene.xml").write_text(SCENE)
+    (folder / "recipe.toml").write_text(RECIPE)
+    return folder
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with scene.xml, picture.png (4 x 4), target.exr and recipe.toml."""
-    generator = torch.Generator().manual_seed(1)
-    save_image(tmp_path / "picture.png", torch.rand(3, 4, 4, generator=generator))
-    save_image(tmp_path / "target.exr", torch.rand(3, 6, 8, generator=generator))
-    (tmp_path / "scene.xml").write_text(SCENE)
-    (tmp_path / "recipe.toml").write_text(RECIPE)
-    return tmp_path
+    """A folder with the files of a recipe."""
+    return write_files(tmp_path)
 
 
 @pytest.fixture

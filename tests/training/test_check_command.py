@@ -61,8 +61,8 @@ def test_a_derivative_of_zero_is_exit_code_3_and_its_file_is_json(radbp, folder)
 @pytest.mark.parametrize("direction", ["1,0,0", "-1,0.5,0", "ones", "random", "change.npy"])
 def test_directions(direction, radbp, folder):
     np.save(folder / "change.npy", np.array([0.3, 0.2, 0.1]))
-    code, stdout, _ = radbp(*PAINT, "--direction", direction, "--step", 0.05, "--spp", 16, "-o", "out")
-    assert code in (0, 3) and "step 0.05, 16 samples per pixel in 16 batches" in stdout
+    code, stdout, _ = radbp(*PAINT, "--direction", direction, "--step", 0.05, "--spp", 8, "--batches", 8, "-o", "out")
+    assert code in (0, 3) and "step 0.05, 8 samples per pixel in 8 batches" in stdout
     used = json.loads((folder / "out" / "check.json").read_text())["direction"]
     expected = {"1,0,0": [1, 0, 0], "-1,0.5,0": [-1, 0.5, 0], "ones": [1, 1, 1], "change.npy": [0.3, 0.2, 0.1]}
     assert direction == "random" or used == pytest.approx(expected[direction])
@@ -71,7 +71,7 @@ def test_directions(direction, radbp, folder):
 def test_a_bitmap_moves_by_a_file(radbp, folder):
     np.save(folder / "change.npy", np.random.default_rng(0).uniform(size=(4, 4, 3)))
     code, stdout, _ = radbp("check", "scene.xml", "--param", "picture.reflectance.data", "--direction", "change.npy",
-                            "--spp", 16, "-o", "out")
+                            "--max-depth", 2, "--spp", 8, "--batches", 8, "-o", "out")
     assert code in (0, 3), stdout
 
 

@@ -7,6 +7,7 @@ import math
 import os
 import pickle
 import resource
+import shutil
 import signal
 import stat
 import warnings
@@ -17,6 +18,7 @@ import safetensors.torch
 import torch
 from rich.console import Console
 
+from tests.training.conftest import write_files
 from torch_radbp.formats.image import save_image
 from torch_radbp.training.recipe_file import read_recipe, write_recipe
 from torch_radbp.training.recovery.checkpoint import FILE_NAME, CheckpointError, load_checkpoint, save_checkpoint
@@ -181,14 +183,7 @@ STATES = {
 @pytest.fixture(scope="module")
 def good_run(tmp_path_factory):
     """The files of a run of two steps, made once, and the folder that they refer to."""
-    from tests.training.conftest import RECIPE, SCENE
-
-    folder = tmp_path_factory.mktemp("good")
-    generator = torch.Generator().manual_seed(1)
-    save_image(folder / "picture.png", torch.rand(3, 4, 4, generator=generator))
-    save_image(folder / "target.exr", torch.rand(3, 6, 8, generator=generator))
-    (folder / "scene.xml").write_text(SCENE)
-    (folder / "recipe.toml").write_text(RECIPE)
+    folder = write_files(tmp_path_factory.mktemp("good"))
     run(folder / "recipe.toml", ["steps=2"], folder / "run", False, Console(quiet=True))
     recipe = read_recipe(folder / "recipe.toml")
     write_recipe(recipe, folder / "run" / "recipe.toml")
@@ -327,9 +322,17 @@ BAD_METRICS = {
 }
 
 
-@pytest.mark.parametrize("case", METRICS)
-def test_lost_metrics_are_a_warning(case, folder):
+@pytest.fixture(scope="module")
+def two_steps(tmp_path_factory):
+    """A folder with a recipe and a run of two steps of it, to which steps can be added."""
+    folder = write_files(tmp_path_factory.mktemp("two"))
     run(folder / "recipe.toml", ["steps=2", "schedule={name='constant'}"], folder / "run", False, Console(quiet=True))
+    return folder
+
+
+@pytest.mark.parametrize("case", METRICS)
+def test_lost_metrics_are_a_warning(case, two_steps, tmp_path):
+    folder = shutil.copytree(two_steps, tmp_path / "copy")
     path = folder / "run" / "metrics.csv"
     change, expected = METRICS[case]
     text = change(path.read_text())

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 from rich.console import Console
 
 from tests.deep import deep
+from tests.training.conftest import write_files
 from torch_radbp.formats.image import save_image
 from torch_radbp.optim import GaussNewton
 from torch_radbp.training.recipe_file import RecipeError, read_recipe
@@ -23,9 +25,10 @@ QUIET = Console(quiet=True)
 GAUSS_NEWTON = 'optimizer = "gauss-newton"\n'
 
 
-@pytest.fixture
-def joint(folder):
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
     """The recipe with Gauss-Newton, and a target that is an image of its scene by other samples."""
+    folder = write_files(tmp_path_factory.mktemp("files"))
     path = folder / "recipe.toml"
     text = path.read_text()
     for old, new in (('[optimizer]\nname = "adam"\nlearning_rate = 0.05\n\n[schedule]\nname = "cosine"\n', ""),
@@ -37,6 +40,21 @@ def joint(folder):
     with torch.no_grad():
         save_image(folder / "target.exr", recovery.renderer(seed=10**6, spp=1024)[0])
     return folder
+
+
+@pytest.fixture
+def joint(files, tmp_path):
+    return shutil.copytree(files, tmp_path / "joint", ignore=shutil.ignore_patterns("whole"))
+
+
+NOISY = ["optimizer={name='gauss-newton', max_spp=16}", "report.checkpoint_every=1", "steps=8"]  # keeps Jacobians
+
+
+@pytest.fixture(scope="module")
+def whole(files):
+    """The folder of a run that keeps Jacobians, and that nothing has interrupted."""
+    start(files, "whole", *NOISY)
+    return files / "whole"
 
 
 def start(folder, out, *overrides, resume=False):
@@ -94,9 +112,6 @@ def test_masks_losses_and_weights_are_in_the_residuals(joint):
     torch.testing.assert_close(found, expected)
 
 
-NOISY = ["optimizer={name='gauss-newton', max_spp=16}", "report.checkpoint_every=1", "steps=8"]  # keeps Jacobians
-
-
 def interrupting(stop: int, call: int):
     """`JointSteps.residuals` with a signal at a call within a step."""
     residuals, steps = JointSteps.residuals, []
@@ -112,27 +127,24 @@ def interrupting(stop: int, call: int):
 
 
 @pytest.mark.parametrize("stops", [[(0, 5), (6, 1)], deep([(4, 1)])])  # the last two have Jacobians of an earlier step
-def test_a_resumed_run_is_bit_identical(stops, joint, monkeypatch):
-    start(joint, "whole", *NOISY)
-    whole = results(joint / "whole")
+def test_a_resumed_run_is_bit_identical(stops, joint, whole, monkeypatch):
     for stop, call in stops:
         with monkeypatch.context() as patch:
             patch.setattr(JointSteps, "residuals", interrupting(stop, call))
             summary = start(joint, "broken", *NOISY, resume=(joint / "broken").exists())
         assert summary["status"] == "interrupted" and summary["step"] == stop
     start(joint, "broken", *NOISY, resume=True)
-    broken = results(joint / "broken")
+    whole, broken = results(whole), results(joint / "broken")
     assert whole[0] == broken[0] and whole[2] == broken[2] and len(whole[2]) == 8
     for name, value in whole[1].items():
         assert torch.equal(value, broken[1][name])
     assert whole[2][0]["paint.reflectance.value[0]"] != 0.5
 
 
-def test_jacobians_that_are_kept_are_in_a_checkpoint_as_their_place(joint):
-    start(joint, "run", *NOISY)
-    rows = MetricsFile(joint / "run" / "metrics.csv").rows()
+def test_jacobians_that_are_kept_are_in_a_checkpoint_as_their_place(whole):
+    rows = MetricsFile(whole / "metrics.csv").rows()
     assert max(row["gauss_newton.noise_share"] for row in rows) > 0.3, "or noise limited no step, and nothing was kept"
-    state = load_checkpoint(joint / "run" / FILE_NAME, 2**20)["joint"]
+    state = load_checkpoint(whole / FILE_NAME, 2**20)["joint"]
     assert state["search"]["averaged"] > 0 and state["seed"] == 8
     assert state["kept_at"] is None or len(state["kept_at"]["position"]) == 3
 

@@ -67,7 +67,7 @@ def test_a_network_is_recovered_and_saved_as_a_bitmap(folder, network_recipe):
     with torch.no_grad():
         scene.picture.reflectance.data.copy_(torch.tensor([0.8, 0.3, 0.1]))
         rb.save_image(folder / "target.exr", rb.render(scene, spp=256, seed=1, max_depth=3, caster="brute")[0])
-    overrides = ["steps=40", "optimizer.learning_rate=0.1", "render.spp=8", "report.spp=256"]
+    overrides = ["steps=20", "optimizer.learning_rate=0.2", "render.spp=8", "report.spp=256"]
     summary, _ = run(network_recipe, overrides, folder / "run", False, Console(quiet=True))
     before, after = summary["images"][0]["rmse_before"], summary["images"][0]["rmse"]
     assert after < 0.5 * before

@@ -11,6 +11,7 @@ import torch
 from rich.console import Console
 
 from docs.widths import CHROMIUM, too_wide
+from tests.training.conftest import write_files
 from torch_radbp.formats.image import read_image
 from torch_radbp.training.false_colour import error_scale, false_colour
 from torch_radbp.training.progress import TimedProgress, duration
@@ -23,9 +24,12 @@ from torch_radbp.training.report.curves import curves_section, running_mean
 from torch_radbp.training.run import run
 
 
-@pytest.fixture
-def run_folder(folder):
-    overrides = ["title='Paint & <picture>'", "parameters.0.name='p*.reflectance.[vd]*'", "parameters.0.truth=0.25"]
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    """A run that is only looked at."""
+    folder = write_files(tmp_path_factory.mktemp("files"))
+    overrides = ["title='Paint & <picture>'", "parameters.0.name='p*.reflectance.[vd]*'", "parameters.0.truth=0.25",
+                 "report.deviations='auto'"]
     run(folder / "recipe.toml", overrides, folder / "run", False, Console(quiet=True))
     return folder / "run"
 

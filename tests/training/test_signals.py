@@ -80,12 +80,15 @@ def wait_for(path):
 
 @pytest.fixture
 def signalled(forks, folder):
-    """Returns a function that runs `radbp optimize`, sends it signals at a place, and returns (code, stdout, stderr)."""
+    """Returns a function that runs `radbp optimize`, sends it signals at a place, and returns (code, stdout, stderr).
+
+    In plain torch, since what is compiled would be loaded anew by each fork.
+    """
 
     def invoke(place, *signals, arguments=()):
         (folder / "reached").unlink(missing_ok=True)
         case = {"folder": str(folder), "script": AT + place,
-                "arguments": ["optimize", "recipe.toml", "--out", "run", *arguments]}
+                "arguments": ["optimize", "recipe.toml", "--out", "run", "-D", "render.compile=false", *arguments]}
         forks.stdin.write(json.dumps(case) + "\n")
         forks.stdin.flush()
         process = int(forks.stdout.readline())

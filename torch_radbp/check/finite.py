@@ -69,6 +69,16 @@ class Lanes(NamedTuple):
         number = int(bad.nonzero()[0])
         return ", ".join(f"{name} = {part[number].item():.9g}" for name, part in self.named().items())
 
+    def troubles(self, outputs: dict[str, Vec3 | Tensor]) -> Iterator[str]:
+        """Yields what is not finite of some outputs and their derivatives, in words; nothing costs one backward pass."""
+        tensors = [tensor for output in outputs.values() for tensor in (output if isinstance(output, Vec3) else [output])]
+        total = torch.stack([tensor.sum() for tensor in tensors]).sum()
+        leaves = [part for part in self.named().values() if part.requires_grad]
+        slopes = torch.autograd.grad(total, leaves, allow_unused=True, retain_graph=True) if total.requires_grad else ()
+        # Of sums, since what is not finite stays so in them; they may overflow, and then no output is to blame.
+        if not all(slope is None or bool(torch.isfinite(slope).all()) for slope in (*tensors, *slopes)):
+            yield from filter(None, (self.not_finite(what, output) for what, output in outputs.items()))
+
     def not_finite(self, what: str, output: Vec3 | Tensor) -> str | None:
         """The first value or derivative of an output that is not finite, in words; None: all are finite.
 
@@ -119,7 +129,7 @@ def troubles_of_samples(kind: Kind | CheckedKind, values: Values, wi: Vec3,
         outputs["the density with fixed lobes at a sample"] = kind.eval_pdf(values, wi, wo, True)[1]
         settled = pdf.detach()
         outputs["the weight of a sample"] = value / settled.clamp_min(1e-30) * (settled > 0).to(settled.dtype)
-    yield from filter(None, (lanes.not_finite(name, output) for name, output in outputs.items()))
+    yield from lanes.troubles(outputs)
     length = wo.x**2 + wo.y**2 + wo.z**2
     long = (length - 1).abs() > max(ROUNDINGS * torch.finfo(wi.z.dtype).eps, length_error)
     if bool(long.any()):
@@ -130,7 +140,7 @@ def troubles_of_evaluation(kind: Kind | CheckedKind, values: Values, wi: Vec3) -
     """Yields what is not finite, or negative, for each wi with all of its `partners`."""
     lanes = Lanes.of(values, wi, partners(wi.detach()))
     value, pdf = kind.eval_pdf(lanes.values, lanes.wi, lanes.other)
-    yield from filter(None, (lanes.not_finite(name, output) for name, output in (("eval", value), ("pdf", pdf))))
+    yield from lanes.troubles({"eval": value, "pdf": pdf})
     negative = (value.stack() < 0).any(1) | (pdf < 0)
     if bool(negative.any()):
         yield f"eval or pdf is negative at {lanes.at(negative)}"

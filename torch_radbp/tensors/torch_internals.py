@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils._pytree import tree_flatten, tree_map, tree_map_only
+from torch.utils._pytree import tree_flatten, tree_map
 
 __all__ = ["TorchDispatchMode", "at_end_of_backward", "backward_pass", "batched", "dual_of", "functions_of_torch_only",
            "holders", "inside_dual_level", "operations_on_this_thread", "outside_transforms", "same_versions", "transforms",
-           "tree_flatten", "tree_map", "tree_map_only", "unpacked_dual", "unwrapped", "without_compiler"]
+           "tree_flatten", "tree_map", "unpacked_dual", "unwrapped", "without_compiler"]
 
 try:
     from torch._C._functorch import get_interpreter_stack, get_unwrapped, is_functorch_wrapped_tensor
