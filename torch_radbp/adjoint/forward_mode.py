@@ -22,13 +22,13 @@ from torch_radbp.call.render_call import RenderCall
 from torch_radbp.path.taped_bounces import repeating
 from torch_radbp.tensors import torch_internals
 from torch_radbp.tensors.differentiated import tangent_of
-from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.record import tensors_in
 from torch_radbp.tensors.torch_internals import tree_map
 
 
 def has_tangents(record) -> bool:
     """True if any tensor of a record is a dual tensor."""
-    return any(tangent_of(leaf) is not None for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+    return any(tangent_of(tensor) is not None for tensor in tensors_in(record))
 
 
 def render_tangents(call: RenderCall) -> Tensor:
@@ -37,8 +37,8 @@ def render_tangents(call: RenderCall) -> Tensor:
     Raises:
         RuntimeError: if a leaf also requires a gradient, which would be missing.
     """
-    leaves = leaves_of((call.scene, call.source.tensors))
-    if torch.is_grad_enabled() and any(leaf.requires_grad for leaf in leaves if isinstance(leaf, Tensor)):
+    tensors = tensors_in((call.scene, call.source.tensors))
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
         raise RuntimeError("a rendering is differentiated either forward or backward, but parameters have tangents and "
                            "parameters require grad: render under torch.no_grad(), or with adjoint=TapeAdjoint() for both")
     with torch.no_grad():

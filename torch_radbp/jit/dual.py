@@ -20,7 +20,7 @@ from torch.autograd import forward_ad
 from torch_radbp.jit.run import LaneFunction
 from torch_radbp.jit.target import Target
 from torch_radbp.tensors.differentiated import primal, tangent_of
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import leaves_of, tensors_in, with_leaves
 from torch_radbp.tensors.torch_internals import inside_dual_level
 
 
@@ -35,9 +35,9 @@ def values_and_tangents(record: Any) -> tuple[Any, Any]:
 def tangents_and_tensors(record: Any) -> list[Tensor]:
     """The tangents of a record, in order, and then its tensors."""
     if not inside_dual_level():
-        return [leaf for leaf in leaves_of(record) if isinstance(leaf, Tensor)]
+        return tensors_in(record)
     values, tangents = values_and_tangents(record)
-    return [leaf for leaf in (*leaves_of(tangents), *leaves_of(values)) if isinstance(leaf, Tensor)]
+    return [*tensors_in(tangents), *tensors_in(values)]
 
 
 def dual(values: Any, tangents: Any) -> Any:

@@ -16,7 +16,6 @@ from math import inf
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
 
 from torch_radbp.adjoint.bounce import Memo, empty_memo
 from torch_radbp.adjoint.kept_state import part_kept
@@ -32,7 +31,7 @@ from torch_radbp.path.wavefront import take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.rendering.bounce_memory import BounceMemory, LinearSize
 from torch_radbp.sampling.sampler import LaneKey
-from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.record import tensors_in
 from torch_radbp.tensors.vec import Ray, Vec2, Vec3
 
 # Resident memory is more than what torch holds: by this factor, and by so many numbers a lane. The factor counts where
@@ -106,7 +105,7 @@ def reaching(integrand: Integrand, pilot: PathState) -> list[float]:
 
 def lane_bytes(record) -> int:
     """The bytes that one lane takes in a record of tensors."""
-    return sum(leaf.element_size() for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+    return sum(tensor.element_size() for tensor in tensors_in(record))
 
 
 def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> RecordSizes:

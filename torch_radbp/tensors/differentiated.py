@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from torch_radbp.tensors.record import NESTED, leaves_of, mapped, with_parts
+from torch_radbp.tensors.record import NESTED, mapped, tensors_in, with_parts
 from torch_radbp.tensors.torch_internals import inside_dual_level, unpacked_dual
 
 
@@ -41,20 +41,24 @@ def asks_for_derivatives(value) -> bool:
 
 def any_differentiated(record) -> bool:
     """True if any tensor of a record requires a gradient or has a tangent."""
-    return any(differentiated(leaf) for leaf in leaves_of(record) if isinstance(leaf, Tensor))
+    return any(map(differentiated, tensors_in(record)))
 
 
 def detached(tensors):
     """A detached record of tensors; whatever carries no derivative stays the same object."""
-    if isinstance(tensors, Tensor):
-        return tensors.detach() if differentiated(tensors) else tensors
-    if not isinstance(tensors, NESTED):
-        return tensors
-    parts = list(tensors.values()) if isinstance(tensors, dict) else tensors
-    detached_parts = [detached(part) for part in parts]
-    if all(map(operator.is_, detached_parts, parts)):
-        return tensors
-    return with_parts(tensors, detached_parts)
+    return without_derivatives(tensors, inside_dual_level())
+
+
+def without_derivatives(record, forward: bool):
+    """A detached record; `forward`: its tensors may be dual tensors."""
+    if isinstance(record, Tensor):
+        return record.detach() if record.requires_grad or forward and tangent_of(record) is not None else record
+    if not isinstance(record, NESTED):
+        return record
+    parts = list(record.values()) if isinstance(record, dict) else record
+    detached_parts = [part if part is None or type(part) is Tensor and not forward and not part.requires_grad
+                      else without_derivatives(part, forward) for part in parts]
+    return record if all(map(operator.is_, detached_parts, parts)) else with_parts(record, detached_parts)
 
 
 def moving_with(others, record):
@@ -63,7 +67,7 @@ def moving_with(others, record):
     For what plain torch computes of few numbers. It is much slower with products and sums of a dual tensor and one without
     tangents: in the place of these it puts zeros of a special kind, for whose shape it asks functions in Python.
     """
-    if not inside_dual_level() or all(tangent_of(leaf) is None for leaf in leaves_of(others) if isinstance(leaf, Tensor)):
+    if not inside_dual_level() or all(tangent_of(tensor) is None for tensor in tensors_in(others)):
         return record
 
     def moving(leaf):
@@ -102,4 +106,4 @@ def settled(value: Tensor) -> Tensor:
 
 def differentiable(tensors) -> list[Tensor]:
     """The leaves of a record that are differentiated, in order."""
-    return [leaf for leaf in leaves_of(tensors) if isinstance(leaf, Tensor) and leaf.requires_grad]
+    return [tensor for tensor in tensors_in(tensors) if tensor.requires_grad]

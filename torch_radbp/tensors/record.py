@@ -31,6 +31,25 @@ def collect(record: tuple | list | dict, leaves: list) -> None:
             collect(part, leaves)
 
 
+def tensors_in(record: Any) -> list[Tensor]:
+    """The tensors among the leaves of a record, in order."""
+    tensors: list[Tensor] = []
+    collect_tensors((record,), tensors)
+    return tensors
+
+
+def collect_tensors(record: tuple | list | dict, tensors: list[Tensor]) -> None:
+    """Appends the tensors of a record to a list."""
+    for part in record.values() if isinstance(record, dict) else record:
+        if type(part) is Tensor:
+            tensors.append(part)
+        elif part is not None:
+            if isinstance(part, NESTED):
+                collect_tensors(part, tensors)
+            elif isinstance(part, Tensor):
+                tensors.append(part)
+
+
 def with_leaves(record: Any, leaves: Iterable) -> Any:
     """A record of the same structure with other leaves, given in order."""
     left = iter(leaves)
@@ -39,10 +58,13 @@ def with_leaves(record: Any, leaves: Iterable) -> Any:
 
 def mapped(record: Any, function: Callable[[Any], Any]) -> Any:
     """A record of the same structure whose leaves are `function` of the leaves."""
-    if not isinstance(record, NESTED):
+    kind = type(record)
+    if kind is Tensor or not isinstance(record, NESTED):
         return function(record)
-    parts = record.values() if isinstance(record, dict) else record
-    return with_parts(record, [mapped(part, function) if isinstance(part, NESTED) else function(part) for part in parts])
+    if isinstance(record, dict):
+        return {key: mapped(part, function) for key, part in record.items()}
+    parts = [function(part) if part is None or type(part) is Tensor else mapped(part, function) for part in record]
+    return parts if isinstance(record, list) else tuple.__new__(kind, parts)
 
 
 def with_parts(record: tuple | list | dict, parts: list) -> tuple | list | dict:

@@ -25,7 +25,7 @@ from torch_radbp.sampling.running_sum import running_sum
 from torch_radbp.sampling.sampler import fine_unit
 from torch_radbp.scene.tables.light_tree import LightTree, Vantage, chance_of_leaf, drawn_leaf, light_tree
 from torch_radbp.tensors.lookup import lookup
-from torch_radbp.tensors.record import leaves_of, with_leaves
+from torch_radbp.tensors.record import leaves_of, tensors_in, with_leaves
 from torch_radbp.tensors.vec import Vec2, Vec3, interpolated, where
 
 CHOICES = ("uniform", "tree")
@@ -219,7 +219,7 @@ def point_on(table: Table, row: Tensor, u: float, v: float, reader: TableReader)
         u, v = torch.full_like(like, u), torch.full_like(like, v)
         uv = None if table.uv is None else interpolated(lookup(table.uv, row), u, v)
         return interpolated(table.p, u, v), TexturePoint(uv, dict(zip(reader.attributes, table.attributes_at(row, u, v))))
-    like = next(leaf for leaf in leaves_of(table) if isinstance(leaf, Tensor))
+    like = tensors_in(table)[0]
     like = like.new_zeros(len(row))
     zero = Vec3(like, like, like)
     return zero, TexturePoint(Vec2(like + u, like + v), {name: zero for name in reader.attributes})
