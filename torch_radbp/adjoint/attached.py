@@ -17,7 +17,7 @@ from torch_radbp.path.texture_networks import texture_values_at
 from torch_radbp.path.through_media import free_flights
 from torch_radbp.path.trace import Visit, trace
 from torch_radbp.path.vertices import room_for_vertices
-from torch_radbp.path.wavefront import bounced, brighten, take_step
+from torch_radbp.path.wavefront import LightOfBounce, bounced, brighten, take_step
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.tensors.differentiated import detached
 from torch_radbp.tensors.record import joined, rows_between
@@ -54,12 +54,12 @@ def bounced_twice(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | No
         following, _ = free_flights(fixed, ahead, hit, depth + 1)
     E, ahead, film = attached_vertices(integrand, state, depth, step, _spread(following, alive, step.scattered))
     if E is not None:
-        brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, E, film=film)
+        brighten(integrand, L, state, step.order[:step.scattered], vertex.next.lane, LightOfBounce(E, film=film))
         ahead = ahead._replace(vantage=vertex.next.vantage, medium=vertex.next.medium)
     light = attached_light(integrand, state, depth, step)
     if light is not None:
         order = step.order[step.scattered:]
-        brighten(integrand, L, state, order, stages(rows)(state.lane, order), light)
+        brighten(integrand, L, state, order, stages(rows)(state.lane, order), LightOfBounce(light))
     return state, step, Onward(vertex.next if ahead is None else ahead, alive, hit)
 
 

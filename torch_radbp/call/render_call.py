@@ -105,8 +105,7 @@ def started(call: RenderCall, sample: CameraSample) -> PathState:
     """The path states at the start of some rays."""
     layout = call.scene.layout
     medium = (-1 if layout.around is None else layout.around) if layout.traces_segments else None
-    return start_path(sample.ray, sample.key, call.scene.lights.by_place, call.following, sample.cone, medium, sample.power,
-                      call.shared, sample.slides)
+    return start_path(sample, call.scene.lights.by_place, call.following, medium, call.shared)
 
 
 def start_paths(call: RenderCall, wavefront: Wavefront, which: int) -> PathState:

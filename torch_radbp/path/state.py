@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torch_radbp.interface.medium import MediumWay
 from torch_radbp.jit.recording.lane_count import LaneCount, waited_for
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.raycast.protocol import Hit
 from torch_radbp.sampling.sampler import LaneKey
 from torch_radbp.scene.tables.light_choice import LightPick
@@ -138,24 +139,22 @@ class Arrival(NamedTuple):
     flight: Flight | None = None  # None: nothing scatters between surfaces
 
 
-def start_path(ray: Ray, key: LaneKey, from_places: bool = False, following: bool = False,
-               cone: Cone | None = None, medium: int | None = None, power: Vec3 | None = None,
-               shared: bool = False, slides: Tensor | None = None) -> PathState:
+def start_path(sample: CameraSample, from_places: bool = False, following: bool = False, medium: int | None = None,
+               shared: bool = False) -> PathState:
     """The state before the first bounce, lanes numbered in order.
 
     Args:
-        ray, key, cone: (N,) of the lanes.
+        sample: (N,) the first rays.
         from_places: paths remember where their rays begin.
         following: as `Settings.following`.
         medium: the number of the medium in which paths begin, -1: none; None: rays are not followed through media.
-        power: their initial throughput; None: 1.
         shared: some light comes by camera paths, the rest by paths from lamps.
-        slides: (N,) bool: first hits slide with the rays over surfaces, others are glued to these; None: all slide.
     """
+    ray, power, slides = sample.ray, sample.power, sample.slides
     beta = Vec3(torch.ones_like(ray.d.x), torch.ones_like(ray.d.x), torch.ones_like(ray.d.x)) if power is None else power
     lane = torch.arange(len(ray.d.x), dtype=torch.int32, device=ray.d.x.device)
     pdf = torch.full_like(ray.d.x.detach(), torch.inf)
-    return PathState(ray, beta, pdf if slides is None else torch.where(slides, pdf, -1.0), key, lane,
+    return PathState(ray, beta, pdf if slides is None else torch.where(slides, pdf, -1.0), sample.key, lane,
                      Vantage(ray.o.map(settled), ray.d.map(settled)) if from_places else None,
-                     torch.zeros_like(lane, dtype=torch.bool) if following else None, cone,
+                     torch.zeros_like(lane, dtype=torch.bool) if following else None, sample.cone,
                      None if medium is None else torch.full_like(lane, medium), torch.zeros_like(lane) if shared else None)

@@ -49,8 +49,8 @@ def bounced(integrand: Integrand, onward: Onward, depth: int, L: Vec3 | None) ->
     vertex, light, step = take_step(integrand, state, depth, None, onward.hit, onward.flight, with_light=L is not None)
     # L += beta_k E_k, with E_k = Le + visible Ld where paths scatter, and the light that they meet where they end.
     if L is not None:
-        for order, lane, *E in shown(integrand, state, vertex, light, step):
-            brighten(integrand, L, state, order, lane, *E)
+        for order, lane, E in shown(integrand, state, vertex, light, step):
+            brighten(integrand, L, state, order, lane, E)
     # L_{k+1} comes along the next ray of the paths that survive, and counts by beta_{k+1} = beta_k F_k.
     return state, step, Onward(vertex.next, surviving(step))
 
@@ -98,23 +98,42 @@ def with_connections(integrand: Integrand, vertex: Vertex, step: Step) -> Vertex
 
 
 def shown(integrand: Integrand, state: PathState, vertex: Vertex, light: Vec3 | None,
-          step: Step) -> Iterator[tuple[Tensor | Vec3 | None, ...]]:
-    """Yields a bounce's contributions to the image, as arguments of `brighten`: of lanes that scatter, of lanes that end."""
+          step: Step) -> Iterator[tuple[Tensor, Tensor, LightOfBounce]]:
+    """Yields a bounce's contributions to the image, of lanes that scatter and of lanes that end: the paths that contribute,
+    their indices in the chunk, and what they contribute."""
     queues = [queue for queue in step.queues if queue.image and queue.event.scatters]
     if queues:
-        scattered = step.order, vertex.next.lane, vertex.Le, vertex.Ld, step.visible, vertex.film
+        scattered = step.order, vertex.next.lane, LightOfBounce(vertex.Le, vertex.Ld, step.visible, vertex.film)
         yield rows_between(scattered, queues[0].first, queues[-1].last)
     if light is not None:
         order = step.order[step.queues[-1].first:step.queues[-1].last]
-        yield order, integrand.stages(rows)(state.lane, order), light, None, None
+        yield order, integrand.stages(rows)(state.lane, order), LightOfBounce(light)
 
 
-def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor, Le: Vec3,
-             Ld: Vec3 | None = None, visible: Tensor | None = None, film: Vec2 | None = None) -> None:
-    """Adds beta E of a bounce to the radiance `L`; of paths from lamps, writes it to `L` with its place on the film. Args as
-    for `brightened`."""
+class LightOfBounce(NamedTuple):
+    """What a bounce contributes along M paths: E = Le + visible Ld; the image gets it times the throughput before."""
+
+    Le: Vec3  # emission
+    Ld: Vec3 | None = None  # next-event estimates without shadows; None: nothing is scattered
+    visible: Tensor | None = None  # (M,) bool: their connections are free
+    film: Vec2 | None = None  # of paths from lamps, their places on the film; None: these end, and are seen nowhere
+
+
+def brighten(integrand: Integrand, L: Vec3 | BroughtToFilm, state: PathState, order: Tensor, lane: Tensor,
+             E: LightOfBounce) -> None:
+    """Adds beta E of a bounce to the radiance `L`; of paths from lamps, writes it to `L` with its place on the film.
+
+    Args:
+        integrand: the scene and how to step.
+        L: of all lanes of the chunk, written into.
+        state: the paths that reached the bounce.
+        order: (M,) int32, the paths that contribute, in the order of `E`.
+        lane: (M,) int32, their indices in the chunk.
+        E: what they contribute.
+    """
+    Le, Ld, visible, film = E
     if isinstance(L, BroughtToFilm):
-        if film is not None:  # else these end, and are seen nowhere
+        if film is not None:
             put_rows(L, lane, BroughtToFilm(integrand.stages(shining)(state.beta, order, Le, Ld, visible), film))
     else:
         put_rows(L, lane, integrand.stages(brightened)(L, state.beta, order, lane, Le, Ld, visible))

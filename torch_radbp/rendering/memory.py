@@ -23,6 +23,7 @@ from torch_radbp.adjoint.memoized import MemoizedAdjoint
 from torch_radbp.adjoint.outside import HELD
 from torch_radbp.adjoint.scatter import workers_beside
 from torch_radbp.adjoint.strategy import AdjointStrategy
+from torch_radbp.path.camera_rays import CameraSample
 from torch_radbp.path.integrand import Integrand
 from torch_radbp.path.state import PathState, start_path
 from torch_radbp.path.step import Onward, Step
@@ -128,7 +129,8 @@ def record_sizes(integrand: Integrand, pilot: PathState, triangles: bool) -> Rec
 def least_records(dtype: torch.dtype) -> RecordSizes:
     """The record sizes of the simplest scene, in which nothing moves."""
     number, index, flag = (torch.empty(0, dtype=kind, device="cpu") for kind in (dtype, torch.int32, torch.bool))
-    state = start_path(Ray(Vec3.buffer(number), Vec3.buffer(number)), LaneKey(index, index))
+    ray = Ray(Vec3.buffer(number), Vec3.buffer(number))
+    state = start_path(CameraSample(ray, LaneKey(index, index), weight=None, cone=None, place=None))
     step = Step(Hit(index, number, number, number), None, index, (), flag, flag)
     kept = state._replace(ray=state.ray._replace(o=None), key=None)
     return RecordSizes(*map(lane_bytes, (state, kept, step, Memo(Vec3.buffer(number)))))

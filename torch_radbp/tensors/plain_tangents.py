@@ -19,14 +19,14 @@ from torch_radbp.tensors.torch_internals import dual_of, inside_dual_level, unpa
 
 
 class Dual(NamedTuple):
-    """An operand with a tangent."""
+    """A dual tensor taken apart: an operand with a tangent."""
 
     value: Tensor
     tangent: Tensor
 
     @staticmethod
     def of(operand: Tensor | float) -> Dual | None:
-        """None: it has none."""
+        """The parts of an operand; None if it has no tangent."""
         if not isinstance(operand, Tensor) or not operand.is_floating_point():
             return None
         value, tangent = unpacked_dual(operand)
@@ -34,30 +34,31 @@ class Dual(NamedTuple):
 
 
 def product_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
-    """Of operands in any order."""
+    """The result, a dual tensor, of a function that is linear in the operand with a tangent, and has one such operand."""
     moving, still = (one, other) if isinstance(one, Dual) else (other, one)
     return dual_of(function(moving.value, still), function(moving.tangent, still))
 
 
 def quotient_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
+    """The quotient `one / other`, a dual tensor, of which one operand has a tangent."""
     return product_of(function, one, other) if isinstance(one, Dual) else with_zeros(function, one, other)
 
 
 def quotient_of_number(function: Callable, below: Dual, number: float) -> Tensor:
-    """`number / below`."""
+    """The quotient `number / below`, a dual tensor."""
     inverse = torch.reciprocal(dual_of(*below))
     return inverse if number == 1.0 else product_of(Tensor.mul, Dual(*unpacked_dual(inverse)), number)
 
 
 def sum_of(function: Callable, one: Tensor | Dual, other: Tensor | Dual | float) -> Tensor:
-    """A sum, or a difference."""
+    """A sum or a difference, a dual tensor, of which one operand has a tangent."""
     if isinstance(one, Tensor) or isinstance(other, Tensor):
         return with_zeros(function, one, other)
     return dual_of(function(one.value, other), one.tangent.clone())
 
 
 def with_zeros(function: Callable, *operands: Tensor | Dual | float) -> Tensor:
-    """A function of tensors, of which the one without a tangent is given one, zero."""
+    """The result of a function of operands of which one has a tangent; a tensor without one is given the tangent zero."""
     return function(*[dual_of(*part) if isinstance(part, Dual)
                       else dual_of(part, torch.zeros_like(part)) if isinstance(part, Tensor) and part.is_floating_point()
                       else part for part in operands])
