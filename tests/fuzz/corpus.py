@@ -133,13 +133,14 @@ def _scenes(root: Path) -> list[Seed]:
         for variable, value in SMALL.items():  # that have no default
             content = content.replace(f"${variable}".encode(), str(value).encode())
         seeds.append(Seed(folder, content))
-    (root / "assets" / "cornell_box" / "part.xml").write_bytes(seeds[0].content)
+    box = next(seed for seed in seeds if seed.folder == root / "assets" / "cornell_box")
+    (box.folder / "part.xml").write_bytes(box.content)
     including = b'<scene version="3.0.0"><include filename="part.xml"/><path value="../poster"/></scene>'
     (root / "others").mkdir()
     (root / "others" / "coloured.ply").write_text(COLOURED)
     write_volume(root / "others" / "smoke.vol", np.linspace(0, 1, 12, dtype="f4").reshape(3, 2, 2, 1))
     write_volume(root / "others" / "flakes.vol", np.array([0.9, 0.3, 0.5, 0.2, -0.1, 0.1], "f4").reshape(1, 1, 1, 6))
-    seeds += [Seed(seeds[0].folder, seeds[0].content.replace(b'type="path"', f'type="{name}"'.encode()))
+    seeds += [Seed(box.folder, box.content.replace(b'type="path"', f'type="{name}"'.encode()))
               for name in ("prb_basic", "prb_projective", "prbvolpath", "ptracer", "volpath", "volpathmis")]
     direct = '<integrator type="direct"><integer name="shading_samples" value="1"/>'
     plain = OTHERS.format("").replace('<integrator type="prb" name="image"><integer name="max_depth" value="3"/>', direct)
@@ -147,7 +148,7 @@ def _scenes(root: Path) -> list[Seed]:
     seeds += [Seed(root / "others", text.encode()) for text in (plain, projective)]
     seeds += [Seed(root / "others", FOG.format(phase).encode()) for phase in PHASES]
     seeds += [Seed(root / "others", CAMERAS.replace("independent", name).encode()) for name in ("orthogonal", "stratified")]
-    return [*seeds, Seed(root / "assets" / "cornell_box", including), Seed(root / "others", _others().encode()),
+    return [*seeds, Seed(box.folder, including), Seed(root / "others", _others().encode()),
             Seed(root / "others", OLD.encode())]
 
 

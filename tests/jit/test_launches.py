@@ -1,5 +1,6 @@
 """What is recorded for a GPU does the same as the processor, in one sequence of launches, and waits for no count."""
 
+from functools import partial
 from importlib import import_module
 
 import pytest
@@ -120,6 +121,12 @@ def test_a_step_goes_on_with_as_many_lanes_as_the_device_knows(gpu):
     Tape((x,)).play(("put",), step, (first.results, room), count, waits=False)
     assert waited_for(count) == 49
     assert torch.equal(room, torch.where(x > 1, x, -1.0))
+
+
+def test_what_is_done_with_no_lanes_is_called(gpu):
+    """As where all paths have ended, and the host knows it."""
+    number, x = numbers(0)
+    assert Tape(()).play(("sorted",), partial(sorted_by, Functions(gpu)), (number, x, torch.zeros(0)), 0) is None
 
 
 @pytest.mark.parametrize("backwards", [False, True])

@@ -24,7 +24,7 @@ from torch_radbp.jit.cpu.board import Board
 from torch_radbp.jit.cpu.recorded import Recorded
 from torch_radbp.jit.dual import dual, tangents_and_tensors, values_and_tangents
 from torch_radbp.jit.nvidia.recorded_launches import RecordedLaunches
-from torch_radbp.jit.recording.lane_count import LaneCount
+from torch_radbp.jit.recording.lane_count import LaneCount, most_of
 from torch_radbp.jit.recording.recording import ALL, NotRecordable, Recording, Reserve, listening
 from torch_radbp.jit.recording.repetitions import Repetitions
 from torch_radbp.jit.recording.results import RecordedInputs
@@ -133,13 +133,16 @@ class Tape:
             key: hashable; what the step does depends on nothing else but the tape and the structure of the arguments.
             step: to record it, it is called with arguments without contents.
             arguments: records, whose tensors are () or have an entry for each of some lanes.
-            count: the number of all lanes, at least 1.
+            count: the number of all lanes; what is done with none is called.
             blank: makes arguments without contents, from these, a `Reserve` and, if there are any, numbers that stand for
                 `counts`.
             name: all arguments of one name have one structure, which is looked at once; None: it is looked at each time.
             counts: numbers of lanes that the arguments hold, or where some begin, in ascending order.
             waits: False: numbers of lanes found on a GPU stay there, and results have room for all lanes.
         """
+        if not most_of(count):
+            self.rest()
+            return None
         varying = self.varying(arguments)
         blank = without_contents if blank is None else blank
         in_place = any([isinstance(border, LaneCount) for border in counts])  # see `Recording`
