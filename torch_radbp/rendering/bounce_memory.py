@@ -25,7 +25,7 @@ from torch_radbp.path.step import Step
 from torch_radbp.path.texture_networks import number_outside
 from torch_radbp.path.wavefront import take_step
 from torch_radbp.scene.tables.scene_tensors import SceneTensors
-from torch_radbp.tensors.record import leaves_of
+from torch_radbp.tensors.record import tensors_in
 from torch_radbp.tensors.torch_internals import TorchDispatchMode, tree_flatten
 from torch_radbp.tensors.vec import Vec3
 from torch_radbp.texture.module_bank import ModuleBank
@@ -74,13 +74,11 @@ class AllocatedBytes(TorchDispatchMode):
 
     def __torch_dispatch__(self, function, types, args=(), kwargs=None):
         kwargs = kwargs or {}
-        for leaf in leaves_of((args, kwargs)):
-            if isinstance(leaf, Tensor):
-                self.counted.setdefault(leaf.untyped_storage(), True)
+        for tensor in tensors_in((args, kwargs)):
+            self.counted.setdefault(tensor.untyped_storage(), True)
         made = function(*args, **kwargs)
-        for leaf in leaves_of(made):
-            if isinstance(leaf, Tensor):
-                self.add(leaf)
+        for tensor in tensors_in(made):
+            self.add(tensor)
         return made
 
     def add(self, tensor: Tensor) -> None:
